@@ -137,7 +137,7 @@ def test_a_gripper_closes_at_the_handle_and_opens_at_the_end_of_the_way(by, tmp_
         assert rollout.q[0, -1] == rollout.q[np.searchsorted(rollout.time, 0.5), -1] == start[-1]
     arm = Arm(robot, tip, start)
     done = ml.run(ml.ServoLoop(again.controller, dt=0.01), arm, rollout.time[-1] + 2.0)
-    assert [word for word, _ in arm.told] == ["close", "open"] and "whether a handle stayed" in done.notes[0]
+    assert [word for word, _ in arm.told] == ["close", "open"] and "whether the handle stayed" in done.notes[0]
     (_, closed), (_, opened) = arm.told
     assert np.linalg.norm(closed - thing.hold) < 2e-3
     assert np.linalg.norm(opened - place_at(again, tip, end)) < 3e-3

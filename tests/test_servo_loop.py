@@ -298,11 +298,11 @@ def test_wrong_units_are_named(robot):
     assert "in degrees? It must be in radians" in arm.loop.stopped_by
     arm.loop.reset(arm.q)
     assert [arm.loop.update(arm.q, 1.0 * k).status for k in range(5)][1:] == [STALE] * 4
-    assert "went on by 1, in milliseconds? It is to be in seconds" in arm.loop.stopped_by
+    assert "advanced by 1, in milliseconds? It must be in seconds" in arm.loop.stopped_by
     arm = Arm(ml.ServoLoop(law_of(robot, "sawyer")), start_of(robot))
     arm.calls(50)
     assert arm.call(arm.q + 2.0 * np.pi * np.eye(7)[5]).status is INVALID
-    assert f"joint {robot.joint_names[5]} was read +6.28 rad" in arm.loop.stopped_by
+    assert f"joint {robot.joint_names[5]} reads +6.28 rad" in arm.loop.stopped_by
     assert "1 full turn: the driver counts" in arm.loop.stopped_by
     assert arm.call().status not in (INVALID, FOLLOWING_ERROR)
 

@@ -181,7 +181,7 @@ def test_an_arm_that_stands_altogether_is_said(since):
         jammed.call(jammed.noisy(q))
     assert "no joint moves any more" in arm.loop.stopped_by and "brakes" in arm.loop.stopped_by
     said = jammed.loop.stopped_by
-    assert " N along what is driven" in said and "no joint" not in said and "% of its speed" not in said
+    assert " N along the driven direction" in said and "no joint" not in said and "% of its speed" not in said
 
 
 @pytest.mark.parametrize("every", [0.02, 0.04])
@@ -198,7 +198,7 @@ def test_readings_that_are_slower_than_the_loop_are_said(every):
 def test_a_stiffness_that_is_not_told_is_said():
     """The limits are then distances, and a note says what they mean."""
     loop = ml.ServoLoop(to_a_point(0.0).controller, DT)
-    assert "the stiffness of the servos is not told" in loop.notes[0] and "mrad off" in loop.notes[0]
+    assert "the stiffness of the servos is unknown" in loop.notes[0] and "mrad off" in loop.notes[0]
     rng = np.random.default_rng(1)
     levers = [np.linalg.norm(rows_of(ROBOT.random_configuration(rng)), axis=0).max() for _ in range(999)]
     told = float(loop.notes[0].split(" mrad off")[0].split()[-1])

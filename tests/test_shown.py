@@ -79,7 +79,7 @@ def test_positive_is_the_way_shown():
     back = ml.motion(constraint, direction="back")
     assert np.sign(back.wanted) == -np.sign(ml.motion(constraint).wanted)
     for held, far in ((constraint, {"along": 0.5}), (shown_set("lid", "sawyer")[2].constraint_, {"turn": 150.0})):
-        with pytest.raises(TargetError, match="longer than what was shown"):
+        with pytest.raises(TargetError, match="longer than the demonstrations"):
             ml.motion(held, **far)
         assert ml.motion(held, **far, beyond_shown=True).wanted != 0.0
 
@@ -89,9 +89,9 @@ def test_a_constraint_that_was_not_learnt_is_told_how_far():
     line = ml.Constraint([[0, 1]], ml.FrameJacobian(arm("planar3"), "tip", axes="x y"))
     assert line.shown is None and ml.motion(line, along=0.1).wanted == 0.1
     for asked, error, words in (
-        ({}, TargetError, "does not know what was shown"),
-        ({"along": 150.0}, TargetError, "ways are in metres"),
-        ({"along": 0.1, "direction": "shown"}, ConstraintError, "do not say which way"),
+        ({}, TargetError, "has no demonstrated motion"),
+        ({"along": 150.0}, TargetError, "distances are in metres"),
+        ({"along": 0.1, "direction": "shown"}, ConstraintError, "do not define a positive sense"),
     ):
         with case(asked), pytest.raises(error, match=words):
             ml.motion(line, **asked)

@@ -146,7 +146,7 @@ def test_a_drawer_from_the_first_recording_to_what_is_taken_home(sawyer, tmp_pat
     ran = seen["run"]
     assert ran["ordered"] and ran["done"] == pytest.approx(ran["wanted"], rel=0.02), person.said
     assert seen["opening"] == pytest.approx(ran["done"], rel=0.05) and seen["away"] > 0.05
-    assert not seen["tripped"]["ordered"] and "from where it was sent" in seen["tripped"]["ended"]
+    assert not seen["tripped"]["ordered"] and "from its command" in seen["tripped"]["ended"]
     without, with_it = (one["share"] for one in seen["compare"])
     assert without <= 1.0 / 3.0 and with_it >= 0.97
     assert re.fullmatch(r"Without: stops after \d.* cm. With: all \d.* cm.", seen["said"])

@@ -60,18 +60,18 @@ def loop() -> ml.ServoLoop:
     return ml.ServoLoop(ml.ResolvedRateController(ml.Constraint(np.eye(3), place), ml.PointAttractor(target)), DT)
 
 
-AWAY = "the driver reads other joints, units or senses than it commands"
+AWAY = "the driver reads other joints, units or signs than it commands"
 
 
 @pytest.mark.parametrize(
     ("servo", "way", "change", "said"),
     [
         ("position", "read", np.degrees, "right_j3 reads 80.21, its limits are [-3.044, 3.044] rad: in degrees?"),
-        ("velocity", "command", np.radians, "0.0175 times as far as it is sent, as if in degrees"),
-        ("velocity", "read", turned, "right_j2 moves as right_j1 is sent"),
+        ("velocity", "command", np.radians, "0.0175 times as far as commanded, as if in degrees"),
+        ("velocity", "read", turned, "right_j2 moves as right_j1 is commanded"),
         ("position", "command", turned, AWAY),
         ("position", "read", flipped, AWAY),
-        ("velocity", "command", flipped, "(right_j1 moves the other way round)"),
+        ("velocity", "command", flipped, "(right_j1 moves in the opposite sense)"),
     ],
 )
 def test_a_driver_that_mixes_up_its_joints(servo: str, way: str, change: Map, said: str, loop: ml.ServoLoop) -> None:
@@ -103,4 +103,4 @@ def test_a_clock_in_milliseconds(loop: ml.ServoLoop, monkeypatch: pytest.MonkeyP
     arm = Arm(None, None, False)
     arm.simulated = False
     record = ml.run(loop, arm, 1000.0, clock=Milliseconds())
-    assert not record.ordered and "it is to count seconds" in record.ended
+    assert not record.ordered and "it must count seconds" in record.ended

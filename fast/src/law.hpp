@@ -177,11 +177,11 @@ struct Law {
     out.joint = -1, out.outside = 0.0, out.task_scale = out.null_scale = 1.0;
     bool has_tip = limits.has_tip || given.clear;
     bool lost = is_lost(R, out), weak = damped && out.near && out.smallest < threshold;
-    if (!limits.given) return as_wished(R, wish, lost, weak, out);
+    if (!limits.given) return unconstrained_command(R, wish, lost, weak, out);
     bool far = !previous && limits.far(q, approach, wish);
     bool closer = approaches(ws, R, wish, dt, *vjp, svd_of_A, out.smallest);
     bool fast = previous && may_leave(R, std::max(dot(wish, wish, n), dot(previous, previous, n)));
-    if (far && !closer && !has_tip) return as_wished(R, wish, lost, weak, out);
+    if (far && !closer && !has_tip) return unconstrained_command(R, wish, lost, weak, out);
     limits.bounds(q, dt, approach, previous, ws.bounds);
     out.outside = ws.bounds.outside, ws.barrier.number = 0;
     double bound = closer ? approach_bound(out.smallest, ws.slope, limits.acceleration.data(), n, dt) : INF;
@@ -195,7 +195,7 @@ struct Law {
       ws.barrier.number = own_rows;
     }
     fits_all = fits_all && ws.bounds.admit(wish, n);
-    if (fits_all && !fast) return ws.bounds.clip(wish, n, wish), as_wished(R, wish, lost, weak, out);
+    if (fits_all && !fast) return ws.bounds.clip(wish, n, wish), unconstrained_command(R, wish, lost, weak, out);
     // the part that drives is slowed down to what null-space motion makes no room for
     std::copy(wish, wish + n, asked);
     if (driven == s) across(b, Y, s, n, drive);
@@ -223,7 +223,7 @@ struct Law {
       fits_all = false, tip_cause = tip_cause < 0 ? ACCELERATION : tip_cause;
       for (int j = 0; j < n; j++) wish[j] = rest[j] + braking * drive[j];
     }
-    if (fits_all) return ws.bounds.clip(asked, n, asked), as_wished(R, asked, lost, weak, out);
+    if (fits_all) return ws.bounds.clip(asked, n, asked), unconstrained_command(R, asked, lost, weak, out);
     metric(ws, R, D, driven, b, lambda, dt, slide);
     if (!within(ws, wish, has_tip, out.velocity)) return false;
     return bounded(ws, R, basis, rank, asked, tip_cause, lost, weak, out);
@@ -255,7 +255,7 @@ struct Law {
 
   // ---- before bounds ----
 
-  // c of b - c, see `Law._straightened`
+  // c of b - c, see `Law._with_bend`
   void straighten(Workspace& ws, const double* q, double dt, const double* A, const double* u, const Given& given,
                   Outcome& out) const {
     double x[MAX], speed = std::sqrt(dot(u, u, n));
@@ -436,7 +436,7 @@ struct Law {
     return !changed ? OK : fits ? NULL_SCALED : REROUTED;
   }
 
-  bool as_wished(const double* A, const double* wish, bool lost, bool weak, Outcome& out) const {
+  bool unconstrained_command(const double* A, const double* wish, bool lost, bool weak, Outcome& out) const {
     std::copy(wish, wish + n, out.velocity);
     out.progress = out.near ? progress(A, out, wish) : 1.0;
     out.status = status_of(out, lost, weak, false, 1.0, -1, true);

@@ -1,4 +1,4 @@
-"""Barriers: what a hand and its links may not come near, as rows of the law's program where they are needed."""
+"""Barriers: rows of the law's program that keep the hand and the links away from walls and obstacles."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ from manip_learn.robot.robot import Robot
 from manip_learn.robot.tips import default_tip
 
 Barrier = tuple[Float[np.ndarray, "r nv"], Float[np.ndarray, " r"]]  # (G, least): rows G u >= least
-# [1/s] rate at which a barrier is approached exponentially at the end of the braking distance: a singularity, where the
-# smallest singular value falls, a position limit, a wall of the hand
+# [1/s] rate at which a barrier is approached exponentially at the end of the braking distance; barriers are the
+# singularities (in terms of the smallest singular value), the position limits and the walls of the hand
 APPROACH_RATE = 20.0
-BRAKING_SHARE = 0.5  # of the joints' acceleration that braking before a wall uses; the rest keeps the task on its way
-# [m] from links to each other and to what stands around, in plans too: what a servo's lag makes of a path; links that
-# are neighbours come within 2 cm
+BRAKING_SHARE = 0.5  # share of the joints' acceleration for braking before a wall; the rest keeps the task on its path
+# [m] distance between links, and between links and obstacles, in plans too: it covers the path error due to servo lag;
+# adjacent links come within 2 cm
 CLEARANCE = 0.005
 
 
@@ -34,7 +34,16 @@ def approach_rate(distance: float, slope: Vector, acceleration: Vector, dt: floa
         rate = min(kappa x, sqrt(2 a x)),   a = BRAKING_SHARE |g| min_j (a_j / |n_j|),   n = g / |g|
 
     x is e.g. the smallest singular value of A or the distance of a frame from a wall, g its gradient, a_j the
-    acceleration limits of the joints. It is negative beyond 0.
+    acceleration limits of the joints, and kappa the `APPROACH_RATE`, at most 1 / (2 dt).
+
+    Args:
+        distance: x, in any unit; negative beyond 0.
+        slope: g (nv,), gradient of x by the joint positions [unit of x per rad or m].
+        acceleration: Acceleration limits (nv,) [rad/s2 or m/s2].
+        dt: Step [s].
+
+    Returns:
+        The rate [unit of x per second]; negative where x is.
     """
     largest, square = float((np.abs(slope) / acceleration).max()), float(slope.dot(slope))
     deceleration = BRAKING_SHARE * square / largest if largest > 0.0 else math.inf
@@ -44,99 +53,116 @@ def approach_rate(distance: float, slope: Vector, acceleration: Vector, dt: floa
 def approach_bound(smallest: float, slope: Vector, acceleration: Vector, dt: float) -> float:
     """Return the largest rate at which the smallest singular value may fall, so that the arm can stop at 0.
 
-    That of `approach_rate`, and that at which a singularity may be crossed, 5e-4 rad/s |grad sigma|. A task whose
-    target is out of reach presses the arm against a singularity (a stretched elbow), with joint velocities that grow
-    as 1 / sigma until they flip from step to step; with the bound it comes to rest there.
+    It is the sum of `approach_rate` and of 5e-4 rad/s |grad sigma|, the rate at which a singularity may be crossed. A
+    task whose target is out of reach presses the arm against a singularity (a stretched elbow), with joint velocities
+    that grow as 1 / sigma until they flip from step to step; with the bound the arm comes to rest there.
+
+    Args:
+        smallest: Smallest singular value sigma of A, in the constraint's units (m or 1).
+        slope: Gradient of sigma (nv,) by the joint positions.
+        acceleration: Acceleration limits (nv,) [rad/s2 or m/s2].
+        dt: Step [s].
+
+    Returns:
+        The rate [unit of sigma per second]; inf where the gradient is zero.
     """
     length = math.sqrt(slope.dot(slope))
     return 5e-4 * length + approach_rate(smallest, slope, acceleration, dt) if length > 0.0 else math.inf
 
 
-class Standing(Protocol):
-    """What stands around a robot, as a `Scene`."""
+class Obstacles(Protocol):
+    """Source of the obstacles around a robot, e.g. a `Scene`."""
 
     def obstacles(self, robot: Robot) -> tuple[Obstacle, ...]:
-        """Return what the robot's links keep clear of."""
+        """Return the obstacles that the robot's links avoid.
+
+        Args:
+            robot: The robot; `may_touch` of an obstacle has names of its links.
+        """
         ...
 
 
 @lru_cache(maxsize=8)
 def _hulls_of(robot: Robot, shapes: Shapes) -> SelfCollision:
-    """Return the pairs of a robot's links."""
+    """Return the pairs of a robot's own links, built once per robot."""
     return SelfCollision(robot, shapes=shapes)
 
 
 @final
-class KeptClear:
+class CollisionAvoidance:
     """Pairs of shapes that stay at a distance from each other.
 
-    In the next step, and where the arm stops when it brakes along its velocity u from then on, at q + t u, no pair may
-    be nearer than the clearance, or than it is now if that is less. Braking takes BRAKING_SHARE of the acceleration,
-    and ends exponentially as everywhere. The pairs that come nearer get rows, tangents of their distances d at
-    x = q + t u:
+    No pair may be nearer than the clearance, or than it is now if that is less: neither in the next step nor at
+    q + t u, where the arm comes to rest if it brakes along its velocity u from then on. Braking takes BRAKING_SHARE of
+    the acceleration, and ends exponentially as everywhere. Each pair that comes nearer gets a row, the tangent of its
+    distance d at x = q + t u:
 
         d(x) + grad d(x) . t (v - u) >= clearance
 
-    Where shapes would overlap there, x is a posture on the way where they do not yet: the depth of an overlap says
-    little of the way out. The law's program gets the rows where its solution breaks what is asked for, until it does
-    not, as for `Barriers`.
+    Where the shapes would overlap at x, x is moved back along the motion until they do not: the depth of an overlap
+    gives little information on the way out. The law's program gets rows for as long as its solution violates any, as
+    for `Barriers`.
 
-    A pair that no joint could bring near in that time is not looked at: a distance that was known at another posture
-    has changed by at most sum_j lever_j |dq_j| since.
+    A pair that no joint could bring near in that time is skipped: since its distance was computed at another posture,
+    it has changed by at most sum_j lever_j |dq_j|.
 
     Args:
         robot: The robot.
-        around: Its pairs of shapes, or what stands around it.
-        clearance: [m].
+        around: Its pairs of shapes, or a source of the obstacles around it.
+        clearance: Distance to keep [m].
 
     Raises:
-        ConfigurationError: Pairs of another robot, something that is none, or no distance.
+        ConfigurationError: The pairs belong to another robot, or the clearance is negative or not finite.
     """
 
-    def __init__(self, robot: Robot, around: SelfCollision | Standing, clearance: float):
+    def __init__(self, robot: Robot, around: SelfCollision | Obstacles, clearance: float):
         if not isinstance(around, SelfCollision):
             shapes = known_shapes(robot)  # capsules along links overlap where these are joined
             around = _hulls_of(robot, shapes).with_obstacles(around.obstacles(robot), own=shapes != "links")
         if around.robot is not robot:
-            raise ConfigurationError(f"clear_of is of another {around.robot.name!r}: give pairs of the limits' robot")
+            raise ConfigurationError(f"clear_of was built for {around.robot.name!r}: use the robot of these limits")
         if not (math.isfinite(clearance) and clearance >= 0.0):
-            raise ConfigurationError(f"clearance is {clearance!r}: give a distance of at least 0 [m]")
+            raise ConfigurationError(f"clearance is {clearance!r}: pass a distance of at least 0 [m]")
         self.pairs, self.clearance, self._robot = around, float(clearance), robot
         q, n = robot.neutral(), len(around.levers)
-        # a posture, distances there or less, and which of them are known
-        self._known = q, np.full(n, -math.inf), np.zeros(n, dtype=bool)
+        # a posture, lower bounds of the distances there, and a mask of the bounds that are the distances themselves
+        self._cache = q, np.full(n, -math.inf), np.zeros(n, dtype=bool)
         self._nearest: tuple[float, tuple[str, str]] | None = None
-        self._clear = q, q  # posture and velocity that were last found clear
+        self._clear = q, q  # posture and velocity of the newest check without rows
 
     def rows(self, q: Posture, dt: float, acceleration: Vector, before: Vector | None, u: Vector) -> Barrier | None:
-        """Return what must hold of v so that no pair comes too near; None if u itself leads nowhere near.
+        """Return the rows that keep all pairs apart in the next step, or None if u brings no pair too near.
 
         Args:
             q: Posture.
             dt: Step [s].
-            acceleration: Limits [rad/s2 or m/s2].
-            before: Velocity of the step before, from whose reach u is not believed to go [rad/s or m/s]; None for any.
-            u: Velocity [rad/s or m/s].
+            acceleration: Acceleration limits (nv,) [rad/s2 or m/s2].
+            before: Velocity of the previous step (nv,) [rad/s or m/s]; u is clipped to the velocities that the
+                acceleration limits allow after it. None does not clip.
+            u: Velocity (nv,) to check [rad/s or m/s].
+
+        Returns:
+            G (r, nv) and the lower bounds of G v (r,) [m/s].
         """
-        (posture, here, known), levers, clearance = self._known, self.pairs.levers, self.clearance
+        (posture, here, exact), levers, clearance = self._cache, self.pairs.levers, self.clearance
         if not np.array_equal(posture, q):
-            here, known = here - levers.dot(np.abs(self._robot.difference(posture, q))), np.zeros_like(known)
+            here, exact = here - levers.dot(np.abs(self._robot.difference(posture, q))), np.zeros_like(exact)
         u = u if before is None else np.clip(u, before - dt * acceleration, before + dt * acceleration)
-        # the arm stands after the longest time, whose gradient by the velocity is the slope
+        # the arm is at rest after the longest of the stopping times; slope is its gradient by the velocity
         times, slope, longest = 0.5 / BRAKING_SHARE * np.abs(u) / acceleration, np.zeros_like(u), 1.0 / APPROACH_RATE
         longest, j = max(longest, 2.0 * dt), int(np.argmax(times))
         if times[j] > longest:
             longest, slope[j] = float(times[j]), times[j] / u[j]
         reach, rows, least, nearest = levers.dot(np.abs(u)), [], [], None
         close = here - longest * reach < clearance
-        if (new := np.flatnonzero(close & ~known)).size:
-            here, known = here.copy(), known.copy()
-            here[new], known[new] = self.pairs.distances(q, new.tolist()), True
-            self._known = q.copy(), here, known
+        if (new := np.flatnonzero(close & ~exact)).size:
+            here, exact = here.copy(), exact.copy()
+            here[new], exact[new] = self.pairs.distances(q, new.tolist()), True
+            self._cache = q.copy(), here, exact
             close = here - longest * reach < clearance
-        # one that brakes as hard as it can stands at half of the longest time
-        looked_at = ((dt, 0.0), *((longest * x, x) for x in (0.25, 0.5, 1.0))) if close.any() else ()
-        for time, share in looked_at:
+        # an arm that brakes with all of its acceleration is at rest after half of the longest time
+        checkpoints = ((dt, 0.0), *((longest * x, x) for x in (0.25, 0.5, 1.0))) if close.any() else ()
+        for time, share in checkpoints:
             close = np.flatnonzero(here - time * reach < clearance).tolist()
             there = self.pairs.closer_than(self._robot.integrate(q, time * u), clearance, only=close) if close else ()
             for pair in there:
@@ -151,24 +177,29 @@ class KeptClear:
                     pair = self.pairs.closer_than(x, math.inf, only=(pair.number,))[0]  # noqa: PLW2901
                 rate = float(pair.gradient.dot(u))
                 rows.append(pair.gradient + rate * share / time * slope)
-                # rows aim 0.02 mm beyond the clearance, so that solutions are within it after one or two rounds, and
-                # 2 % of the way until then: surfaces may be 1 % of it nearer between the postures that are looked at
-                away = allowed - pair.distance + 2e-5 * time / longest + 0.02 * time * float(reach[pair.number])
-                least.append(float(rows[-1].dot(u)) - (1.0 - at / time) * rate + away / time)
+                # rows aim 0.02 mm beyond the clearance, so that one or two rounds suffice, and 2 % of the travel
+                # until then: between the postures that are checked surfaces may be nearer by 1 % of that travel
+                gap = allowed - pair.distance + 2e-5 * time / longest + 0.02 * time * float(reach[pair.number])
+                least.append(float(rows[-1].dot(u)) - (1.0 - at / time) * rate + gap / time)
         if nearest is None:
             self._clear = q.copy(), u.copy()
             return None
         self._nearest = nearest
         return np.array(rows), np.array(least)
 
-    def was_clear(self, q: Posture, u: Vector) -> bool:
-        """Return whether this velocity at this posture is the latest for which there were no rows."""
+    def is_latest_clear(self, q: Posture, u: Vector) -> bool:
+        """Return True if the newest check without rows was of this velocity at this posture.
+
+        Args:
+            q: Posture.
+            u: Velocity (nv,) [rad/s or m/s].
+        """
         return np.array_equal(self._clear[0], q) and np.array_equal(self._clear[1], u)
 
-    def words(self) -> str | None:
-        """Return which two things were the nearest ones and how near, if that stops the arm."""
+    def describe_nearest(self) -> str | None:
+        """Return the nearest pair and its distance in words, or None if that pair does not stop the arm."""
         if self._nearest is None or self._nearest[0] > self.clearance + 1e-3:
-            return None  # what is a millimetre farther away has slowed the arm down, and does not stop it
+            return None  # a pair that is a millimetre farther apart has slowed the arm down, but does not stop it
         distance, (link, other) = self._nearest
         the = "the " if other in {obstacle.name for obstacle in self.pairs.obstacles} else ""
         return f"{link} {1e3 * distance:.0f} mm from {the}{other}"
@@ -176,15 +207,15 @@ class KeptClear:
 
 @final
 @dataclass(frozen=True, eq=False)
-class BarriersAt:
+class PostureBarriers:
     """Barriers at one posture.
 
     Attributes:
-        speed: Of the frames at most [m/s].
-        jacobians: Of the frames' origins, each (3, nv) [m].
+        speed: Largest speed of the frames [m/s].
+        jacobians: Jacobians of the frames' origins, each (3, nv) [m].
         G: shape (w, nv), minus the rate at which each frame approaches each wall, per unit of joint velocity.
         least: shape (w,) [m/s], minus the rates that are allowed.
-        clear: u -> rows that keep apart what u would bring too near; None where nothing is kept clear of.
+        clear: Velocity -> rows that keep apart the pairs which it would bring too near; None without such pairs.
     """
 
     speed: float
@@ -194,13 +225,16 @@ class BarriersAt:
     clear: Callable[[Vector], Barrier | None] | None
 
     def broken(self, u: Vector, slack: float = 0.0) -> tuple[Barrier, int] | None:
-        """Return the rows that a velocity breaks, and their cause, POSITION or VELOCITY; None where it breaks nothing.
+        """Return the rows that a velocity violates, and their cause.
 
-        Walls, pairs that come near, tangents where a frame is too fast.
+        They are the rows of walls, of pairs that come near, and the tangent of each frame that is too fast.
 
         Args:
-            u: Velocity [rad/s or m/s].
-            slack: By which a wall may be approached too fast [m/s].
+            u: Velocity (nv,) [rad/s or m/s].
+            slack: Excess of the approach to a wall that is tolerated [m/s].
+
+        Returns:
+            The rows and POSITION (a wall or a pair) or VELOCITY (only a frame's speed); None if there is no violation.
         """
         rows, least = list[Vector](), list[float]()
         if len(self.least):
@@ -214,35 +248,45 @@ class BarriersAt:
             fast = math.sqrt(v.dot(v))
             if fast > self.speed:
                 rows.append((-v / fast).dot(J))
-                # a thousandth is given away, so that few tangents do: two whose directions are 5 degrees apart let that
-                # much more through between them
+                # the limit is lowered by a thousandth, so that few tangents suffice: between two tangents whose
+                # directions differ by 5 degrees the speed exceeds the limit by as much
                 least.append((1e-3 - 1.0) * self.speed)
         return ((np.array(rows), np.array(least)), cause) if rows else None
 
     def slowed(self, u: Vector) -> Vector:
-        """Return a velocity, slowed down as a whole to what is allowed; at rest where that is none."""
+        """Scale a velocity down until walls and the speed limit of the frames allow it; to rest where they allow none.
+
+        Args:
+            u: Velocity (nv,) [rad/s or m/s].
+
+        Returns:
+            The scaled velocity (nv,) [rad/s or m/s].
+        """
         fastest = max((float(np.linalg.norm(J.dot(u))) for J in self.jacobians), default=0.0)
         rates, shares = self.G.dot(u), [min(1.0, self.speed / max(fastest, 1e-300))]
         shares += [max(0.0, b) / r for r, b in zip((-rates).tolist(), (-self.least).tolist(), strict=True) if r > b]
         return u * max(0.0, min(shares))
 
     def solution(self, wish: Vector, barrier: Barrier | None, solve: Callable[[Barrier | None], Vector]) -> Vector:
-        """Return the solution of a program with the rows that it needs.
+        """Solve a program, adding violated rows until the solution violates none.
 
         Args:
-            wish: Velocity that is wished for [rad/s or m/s].
-            barrier: Rows that it has in any case; None for none.
-            solve: Rows -> velocity.
+            wish: Desired velocity (nv,) [rad/s or m/s], whose violated rows come first.
+            barrier: Rows that the program has in any case; None for none.
+            solve: Rows -> velocity, the solution of the program with these rows.
+
+        Returns:
+            The solution (nv,) [rad/s or m/s]. Where bounds on the joints leave no solution, they have precedence.
         """
-        u, found = wish, None
+        u, result = wish, None
         for _ in range(12):  # rounds; in practice one to four
             broken = self.broken(u, 1e-12)  # [m/s] rounding of a speed of 1
-            if broken is None and found is not None:
+            if broken is None and result is not None:
                 break
             if broken is not None:
                 G, least = broken[0]
                 barrier = broken[0] if barrier is None else (np.vstack((barrier[0], G)), np.append(barrier[1], least))
-            u = found = solve(barrier)
+            u = result = solve(barrier)
             if barrier is not None and np.any(barrier[0].dot(u) < barrier[1] - 1e-6):
                 break  # [m/s] there is no solution: bounds have precedence
         return u
@@ -250,25 +294,27 @@ class BarriersAt:
 
 @final
 class Barriers:
-    """|J_f(q) u| <= speed, and n^T p_f(q) <= d for each wall (n, d), for the origin p_f of each frame f; `KeptClear`.
+    """Limits of the speed and the position of frames, and collision avoidance.
 
-    The ball of velocities is bounded by tangent planes, n^T J u <= speed, where it was exceeded: first at the velocity
-    wished for, then, as long as one is needed, at the solution with those so far (Kelley, "The cutting-plane method for
-    solving convex programs", 1960). A wall is approached no faster than `approach_rate` of its distance, so
-    that the joints can stop the frame there; a frame beyond a wall returns. No more is asked of a step than
-    BRAKING_SHARE of what the acceleration limits allow all joints together. Where they allow no velocity that keeps all
-    this, they have precedence.
+        |J_f(q) u| <= speed,    n^T p_f(q) <= d    for the origin p_f of each frame f and each wall (n, d)
+
+    The ball of velocities is bounded by tangent planes, n^T J u <= speed, where it was exceeded: first at the desired
+    velocity, then at each solution, until no more are needed (Kelley, "The cutting-plane method for solving convex
+    programs", 1960). The rate at which a frame approaches a wall is at most `approach_rate` of its distance, so that
+    the joints can stop the frame there; a frame beyond a wall returns. The rows demand of one step at most
+    BRAKING_SHARE of the change of that rate that the acceleration limits allow all joints together. If the joint bounds
+    leave no velocity that satisfies all rows, the bounds have precedence.
 
     Args:
         robot: The robot.
-        speed: [m/s]; None for no limit.
+        speed: Largest speed of the frames' origins [m/s]; None for no limit.
         box: shape (2, 3), lowest and highest x, y, z of the frames' origins [m], -inf and inf where there is none.
         walls: shape (w, 4), rows (n, d), n of any length but 0 in the base frame, d [m] times that length.
         frames: Name or names; None for the robot's likeliest tip.
-        clear: What the links keep clear of.
+        clear: Pairs of shapes that stay apart; None for none.
 
     Raises:
-        ConfigurationError: A speed that is not positive, a box without room, or walls that are none.
+        ConfigurationError: A speed that is not positive, an empty box, or invalid walls.
         UnknownNameError: No such frame.
     """
 
@@ -279,7 +325,7 @@ class Barriers:
         box: ArrayLike | None = None,
         walls: ArrayLike | None = None,
         frames: str | Sequence[str] | None = None,
-        clear: KeptClear | None = None,
+        clear: CollisionAvoidance | None = None,
     ):
         if speed is not None and not (isinstance(speed, int | float) and 0.0 < speed < math.inf):
             raise ConfigurationError(f"tip_speed must be a positive number of metres per second, got {speed!r}")
@@ -290,8 +336,8 @@ class Barriers:
         if box is not None:
             sides, unit = np.array(box, dtype=np.float64), np.eye(3)
             if sides.shape != (2, 3) or not np.all(sides[0] < sides[1]):
-                wanted = "two rows, lowest and highest x, y, z [m], the first below the second"
-                raise ConfigurationError(f"a box is {wanted}; got {sides.tolist()}")
+                rows_of_box = "two rows, lowest and highest x, y, z [m], the first below the second"
+                raise ConfigurationError(f"a box is {rows_of_box}; got {sides.tolist()}")
             faces = np.vstack((np.column_stack((-unit, -sides[0])), np.column_stack((unit, sides[1]))))
             rows = np.vstack((faces[np.isfinite(faces[:, 3])], rows))
         if frames is None:
@@ -301,33 +347,45 @@ class Barriers:
         self.frames = tuple(robot.frame(name) for name in names)
         self.walls = rows / np.linalg.norm(rows[:, :3], axis=1, keepdims=True)
         self.clear, self._robot = clear, robot
-        self._none = BarriersAt(self.speed, (), np.empty((0, robot.nv)), np.empty(0), None)
+        self._none = PostureBarriers(self.speed, (), np.empty((0, robot.nv)), np.empty(0), None)
 
-    def at(self, q: Posture, dt: float, acceleration: Vector, previous: Vector | None) -> BarriersAt:
-        """Return the barriers at a posture, for a step of dt [s] after a velocity; arguments as for `Limits.bounds`."""
+    def at(self, q: Posture, dt: float, acceleration: Vector, previous: Vector | None) -> PostureBarriers:
+        """Return the barriers at a posture.
+
+        Args:
+            q: Posture.
+            dt: Step [s].
+            acceleration: Acceleration limits (nv,) [rad/s2 or m/s2]; inf for none.
+            previous: Velocity of the previous step (nv,) [rad/s or m/s]; None if there was none.
+        """
         if not self.frames and self.clear is None:
             return self._none
         jacobians = [self._robot.jacobian(q, frame)[:3] for frame in self.frames]
         clear = None if self.clear is None else partial(self.clear.rows, q, dt, acceleration, previous)
-        G, left = np.empty((0, self._robot.nv)), np.empty(0)
+        G, distances = np.empty((0, self._robot.nv)), np.empty(0)
         if self.walls.size and jacobians:
             normals, offsets = self.walls[:, :3], self.walls[:, 3]
             G = np.vstack([normals.dot(J) for J in jacobians])
-            left = np.concatenate([offsets - normals.dot(self._robot.position(q, frame)) for frame in self.frames])
-        acceleration = np.minimum(acceleration, 1e12)  # inf for none; what follows must stay finite
-        least = -np.array([approach_rate(x, g, acceleration, dt) for x, g in zip(left.tolist(), G, strict=True)])
+            distances = np.concatenate([offsets - normals.dot(self._robot.position(q, frame)) for frame in self.frames])
+        acceleration = np.minimum(acceleration, 1e12)  # inf for no limit, but the products below must stay finite
+        least = -np.array([approach_rate(x, g, acceleration, dt) for x, g in zip(distances.tolist(), G, strict=True)])
         if previous is not None:
             least = np.minimum(least, BRAKING_SHARE * dt * np.abs(G).dot(acceleration) - G.dot(previous))
-        return BarriersAt(self.speed, jacobians, -G, least, clear)
+        return PostureBarriers(self.speed, jacobians, -G, least, clear)
 
     @property
     def pace(self) -> float:
         """Speed for which motions are timed [m/s]: the law stays below the limit itself.
 
-        The rest takes deviations back, and a frame gains 1 % within a step of 0.01 s at 0.25 m/s.
+        The remaining 2 % are for corrections, and a frame gains 1 % within a step of 0.01 s at 0.25 m/s.
         """
         return 0.98 * self.speed
 
     def fastest(self, q: Posture, u: Vector) -> float:
-        """Return the speed of the fastest frame at posture q and velocity u [m/s]."""
+        """Return the speed of the fastest frame [m/s]; 0 without frames.
+
+        Args:
+            q: Posture.
+            u: Joint velocity (nv,) [rad/s or m/s].
+        """
         return max((math.hypot(*self._robot.jacobian(q, frame)[:3].dot(u)) for frame in self.frames), default=0.0)

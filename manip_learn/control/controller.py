@@ -18,41 +18,42 @@ from manip_learn.constraint.constraint import Constraint
 from manip_learn.control.command import Command, Controller, LimitedController, Status, Vector
 from manip_learn.control.law import Law
 from manip_learn.control.limits import Limits
-from manip_learn.control.policies import NullSpacePolicy, ZeroPolicy, climbing, policy_of
+from manip_learn.control.policies import NullSpacePolicy, ZeroPolicy, as_policy, replace_constraint
 from manip_learn.control.tasks import Hold, Task
 from manip_learn.errors import ConfigurationError, ConstraintError, an
 from manip_learn.linalg import Inverse, finite
 from manip_learn.robot.robot import Robot
 
 _LOGGER = logging.getLogger("manip_learn")
-LAW_VERSION = 3  # of the numbers that the law gives: fast/src/law.hpp has the same
+LAW_VERSION = 3  # version of the law's results: fast/src/law.hpp has the same
 
 
 @final
 class ResolvedRateController(LimitedController):
     """u = A^+ b + N pi, equation (2) of Manavalan and Howard, "Learning Singularity Avoidance", with limits.
 
-    The mathematics stands with `law.Law`: what holds the hand comes first, then the direction of the task, then its
+    `law.Law` explains the mathematics: the constraint of the hand comes first, then the direction of the task, then its
     speed, then the policy, in one quadratic program within the limits. Away from singularities and limits the command
-    is equation (2) exactly. Of the rows, the task says which are held and which driven (`Task.driven_rows`).
+    is equation (2) exactly. The task distinguishes held and driven rows (`Task.driven_rows`).
 
     Args:
         constraint: A(q).
         task: b(q, t); None holds still (b = 0).
         null_policy: pi(q, t), a `NullSpacePolicy` or a function of q, or of q and t; None is zero.
-        inverse: `"damped"` for a real arm; as in the paper `"exact"`, 1 / sigma, or `"truncated"`, without what is
-            below Matlab's tolerance.
-        threshold: Singular value of A at which damping sets in, in the constraint's units (m or 1).
-        damping: lambda of driven rows at a singular value of 0; that of held rows is a tenth of it, and a task that
-            presses into the singularity has a larger one. None for the task's own: 0.05, and 0.01 for a way.
-        limits: `True` for the robot's own (see `Limits` for the accelerations); a `Limits`; `False` ignores the
-            joint limits and scales nothing (the paper's law as printed).
-        dt: Time for which a command is held [s], unless the call says otherwise.
-        robot: Whose limits count; the features' own robot by default.
+        inverse: `"damped"` for a real arm; as in the paper `"exact"`, 1 / sigma, or `"truncated"`, without the singular
+            values below Matlab's tolerance.
+        threshold: Singular value of A below which damping sets in, in the constraint's units (m or 1).
+        damping: lambda of driven rows at a singular value of 0; lambda of held rows is a tenth of it, and a task that
+            presses into the singularity has a larger one. None for the task's own: 0.05, and 0.01 for a
+            `FreeDirection`.
+        limits: `True` for the robot's own (see `Limits` for the accelerations); a `Limits`; `False` ignores the joint
+            limits and scales nothing (the paper's law as printed).
+        dt: Time for which a command is held [s], unless the call passes another one.
+        robot: Robot whose limits count; the features' own robot by default.
 
     Raises:
-        ConstraintError: Arguments in another order, a null policy of another number of joints, or settings that are
-            not positive.
+        ConstraintError: Arguments in another order, a null policy of another number of joints, or settings that are not
+            positive.
 
     Example:
         >>> import manip_learn as ml
@@ -90,30 +91,30 @@ class ResolvedRateController(LimitedController):
                 raise ConstraintError(f"{name} must be a positive number, got {value!r}")
         self.learnt = constraint
         self.constraint = constraint = self.task.rows(constraint)
-        held = constraint.n_constraints - len(self.task.driven_rows(constraint))
-        if held > constraint.nv:
-            raise ConstraintError(f"{held} rows are held by {constraint.nv} joints: they contradict each other")
-        self.null_policy: NullSpacePolicy = ZeroPolicy(constraint.nv) if null_policy is None else policy_of(null_policy)  # type: ignore[arg-type]
+        n_held = constraint.n_constraints - len(self.task.driven_rows(constraint))
+        if n_held > constraint.nv:
+            raise ConstraintError(f"{n_held} rows are held by {constraint.nv} joints: they contradict each other")
+        self.null_policy: NullSpacePolicy = ZeroPolicy(constraint.nv) if null_policy is None else as_policy(null_policy)  # type: ignore[arg-type]
         self.inverse: Inverse = inverse
         self.threshold, self.damping, self.dt = float(threshold), float(damping), float(dt)
-        own = limits.robot if isinstance(limits, Limits) else None
-        self.robot: Robot | None = robot or own or constraint.robot
+        limits_robot = limits.robot if isinstance(limits, Limits) else None
+        self.robot: Robot | None = robot or limits_robot or constraint.robot
         self.limits = self._limits_of(limits)
         self._law = Law(constraint, self.task, self.null_policy, inverse, self.threshold, self.damping)
 
     def __call__(
         self, q: ArrayLike, t: float = 0.0, dt: float | None = None, previous: Vector | None = None, slide: float = 0.0
     ) -> Command:
-        """The command at posture q and time t.
+        """Return the command at posture q and time t.
 
         Args:
             q: Posture: a configuration or joint positions.
             t: Time [s].
             dt: Time for which the command is held [s].
-            previous: Velocity commanded in the step before [rad/s or m/s], within whose reach the acceleration limits
-                keep the command; None bounds no acceleration.
+            previous: Velocity commanded in the previous step (nv,) [rad/s or m/s], from which the acceleration limits
+                count; None bounds no acceleration.
             slide: 0 keeps the task's direction where limits allow any motion along it, and else the nearest one; 1
-                comes as near to the task's velocity as limits allow, whatever the direction. Only for a task that
+                comes as near to the task's velocity as limits allow, whatever the direction. Only for a task with
                 `slides`.
 
         Raises:
@@ -137,7 +138,7 @@ class ResolvedRateController(LimitedController):
 
     @property
     def engine(self) -> Literal["native", "python"]:
-        """What computes the commands: the compiled law (`pip install ./fast`), or the one in Python."""
+        """Engine of the commands: the compiled law (`pip install ./fast`), or the law in Python."""
         return "python" if self.native is None else "native"
 
     @cached_property
@@ -146,33 +147,50 @@ class ResolvedRateController(LimitedController):
         return native_law(self._law, self.limits)
 
     def task_error(self, q: ArrayLike, t: float = 0.0) -> float:
-        """Return the distance to the task's goal along the constrained rows [m or rad]."""
+        """Return the distance to the task's goal along the constrained rows [m or rad].
+
+        Args:
+            q: Posture.
+            t: Time [s].
+        """
         return self.task.error(self.constraint, np.asarray(q, dtype=np.float64), t)
 
     def with_task(self, task: Task, constraint: Constraint) -> ResolvedRateController:
         """Return this controller with another task along the rows of another constraint.
 
-        A null-space ascent of the constraint, or of the rows driven, becomes one of the new.
+        A null-space ascent of the constraint, or of its driven rows, is changed to the new constraint.
+
+        Args:
+            task: The task.
+            constraint: The constraint.
         """
         rows, policy = task.rows(constraint), self.null_policy
         for before, after in ((self.constraint, rows), (self.learnt, constraint)):
             if before is not after:
-                policy = climbing(policy, before, after)
+                policy = replace_constraint(policy, before, after)
         settings = {"threshold": self.threshold, "damping": self._damping_given, "dt": self.dt, "robot": self.robot}
         return ResolvedRateController(constraint, task, policy, self.inverse, limits=self.limits or False, **settings)
 
     @property
     def law(self) -> ResolvedRateController:
-        """Itself."""
+        """This controller itself."""
         return self
 
     @property
     def laws(self) -> tuple[ResolvedRateController, ...]:
-        """Itself alone."""
+        """This controller alone."""
         return (self,)
 
     def with_limits(self, limits: Limits, lag: float = 0.0) -> ResolvedRateController:
-        """Return this controller with other limits; nothing makes up for a lag."""
+        """Return this controller with other limits.
+
+        Args:
+            limits: `Limits` of the same robot.
+            lag: Ignored: nothing compensates for a lag.
+
+        Raises:
+            ConstraintError: The limits belong to another robot.
+        """
         other = copy.copy(self)
         other.limits = other._limits_of(limits)
         vars(other).pop("native", None)
@@ -186,8 +204,8 @@ class ResolvedRateController(LimitedController):
         return Limits(self.robot) if limits and self.robot is not None else None
 
     def __repr__(self) -> str:
-        given = f"task={self.task!r}, null_policy={self.null_policy!r}, inverse={self.inverse!r}"
-        return f"ResolvedRateController({self.constraint!r}, {given})"
+        arguments = f"task={self.task!r}, null_policy={self.null_policy!r}, inverse={self.inverse!r}"
+        return f"ResolvedRateController({self.constraint!r}, {arguments})"
 
 
 @final
@@ -195,8 +213,8 @@ class BoundedController(LimitedController):
     """A user's own controller within limits.
 
     Args:
-        controller: `(q, t, dt) -> Command`; its velocity counts. It may write into what it is given, and give the same
-            array every time.
+        controller: `(q, t, dt) -> Command`; only its velocity counts. It may write into its arguments, and return the
+            same array every time.
         limits: The limits.
     """
 
@@ -206,18 +224,18 @@ class BoundedController(LimitedController):
     def __call__(
         self, q: ArrayLike, t: float = 0.0, dt: float | None = None, previous: Any = None, slide: float = 0.0
     ) -> Command:
-        """The controller's command, slowed down to the limits.
+        """Return the controller's command, slowed down to the limits.
 
         Raises:
-            ConfigurationError: No dt, or a velocity that is not one finite number per joint.
+            ConfigurationError: dt is missing, or the velocity is not one finite number per joint.
         """
         if dt is None:
             raise ConfigurationError("a controller within limits needs the period: run it in ServoLoop(..., dt)")
         limits, q = self.limits, np.array(q, dtype=np.float64)
         command = self.controller(q.copy(), t, dt)
         if (wish := finite(command.velocity, *limits.velocity.shape)) is None:
-            given = f"{command.velocity!r:.80}"
-            raise ConfigurationError(f"the controller's velocity is not {self.robot.nv} finite numbers: {given}")
+            text = f"{command.velocity!r:.80}"
+            raise ConfigurationError(f"the controller's velocity is not {self.robot.nv} finite numbers: {text}")
         wish = limits.barriers.at(q, dt, limits.acceleration, None).slowed(wish)
         bounds = limits.bounds(q, dt, previous)
         if bounds.admit(wish):
@@ -227,34 +245,43 @@ class BoundedController(LimitedController):
         return command._replace(velocity=velocity, status=status, outside=bounds.outside)
 
     def with_limits(self, limits: Limits, lag: float = 0.0) -> BoundedController:
-        """Return this controller with other limits; nothing makes up for a lag."""
+        """Return this controller with other limits.
+
+        Args:
+            limits: `Limits` of the same robot.
+            lag: Ignored: nothing compensates for a lag.
+        """
         return BoundedController(self.controller, limits)
 
 
 @cache
 def _compiled() -> Any:
-    """The compiled module, or None; says once what is wrong with one that is there."""
+    """Return the compiled module, or None; log once why an installed one cannot be used."""
     try:
         module = import_module("manip_learn_fast")
         version = module.LAW_VERSION
     except (ImportError, AttributeError, OSError) as error:  # the law in Python does the work
         if isinstance(error, ModuleNotFoundError) and error.name == "manip_learn_fast":
             return None
-        wrong = f"manip_learn_fast cannot be loaded ({error!r})"
+        fault = f"manip_learn_fast cannot be loaded ({error!r})"
     else:
-        wrong = f"manip_learn_fast has version {version!r} of the law, this library needs {LAW_VERSION}"
+        fault = f"manip_learn_fast has version {version!r} of the law, this library needs {LAW_VERSION}"
         if version == LAW_VERSION:
             return module
-    _LOGGER.warning("%s: build it again with pip install ./fast; until then the law runs in Python", wrong)
+    _LOGGER.warning("%s: build it again with pip install ./fast; until then the law runs in Python", fault)
     return None
 
 
 def native_law(law: Law, limits: Limits | None) -> Any:
-    """Return the compiled law, `manip_learn_fast.NativeLaw`; None where the law in Python has to do the work.
+    """Return the compiled law, `manip_learn_fast.NativeLaw`, or None if the law in Python has to be used.
 
-    `manip_learn_fast`, built from `fast/`, is never needed: the law in Python is the text, the compiled one follows it
-    section by section and gives the same numbers. What it does not know (rows, tasks and policies of users, ways) is
-    computed in Python and handed in.
+    `manip_learn_fast`, built from `fast/`, is optional: the law in Python is the reference, the compiled one follows it
+    section by section and returns the same numbers. Rows, tasks and policies that it does not implement (a user's own,
+    `FreeDirection`) are computed in Python and passed in.
+
+    Args:
+        law: The law in Python.
+        limits: Limits of the controller; None for none.
     """
     module = None if os.environ.get("MANIP_LEARN_ENGINE") == "python" else _compiled()
     try:

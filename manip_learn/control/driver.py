@@ -1,4 +1,4 @@
-"""An arm behind a small protocol, and the cycle that runs a servo loop on it: its clock, and its end in order."""
+"""The driver protocol of an arm, and the cycle that runs a servo loop on it: its clock, and its shutdown."""
 
 from __future__ import annotations
 
@@ -27,62 +27,70 @@ from manip_learn.linalg import finite
 from manip_learn.recordings.checks import far_outside
 from manip_learn.robot.robot import Robot
 
-SAMPLES = 100_000  # of a record at most: a longer run keeps every second, fourth, ... cycle
-LONGEST_STOP = 10.0  # [s] for braking and letting go, after which a run ends in any case
-# [rad or m] by which no arm goes off that is sent to where it is: brakes that open, a payload and a push of 20 N give a
-# few hundredths at most; and by which first readings may differ, from each other and from where a motion starts
-_AWAY = 0.05
+SAMPLES = 100_000  # largest number of samples of a record: a longer run keeps every second, fourth, ... cycle
+LONGEST_STOP = 10.0  # [s] for braking and relaxing, after which a run ends in any case
+# [rad or m] largest drift of an arm commanded to its own position: opening brakes, a payload and a push of 20 N give a
+# few hundredths at most. Also the largest distance between the first readings, and from them to the start of a motion
+_DRIFT = 0.05
 _SCALES = {1.0: "", math.degrees(1.0): "degrees", math.radians(1.0): "degrees", 1e3: "mm", 1e-3: "mm"}
-# a cycle: its time [s], what was measured, the command, and the joint positions that were sent before
+# a cycle: its time [s], the measured posture, the command, and the joint positions that were sent before
 _Sample = tuple[float, Posture, Command, Vector]
 _LOGGER = logging.getLogger("manip_learn")
 
 
 class Driver(Protocol):
-    """An arm as `run` sees it.
+    """Interface of an arm for `run`.
 
     It may also have `joint_names`, its own order of joints, from which and to which `run` maps (further joints, as of a
-    gripper, are sent where they were first measured); and `simulated`, True for an arm whose clock is the number of
-    commands, which is then not waited for, with `wait()`, in which a period passes without one.
+    gripper, are commanded to their first measured positions); and `simulated`, True for an arm whose clock is the
+    number of commands and which `run` does not wait for, with `wait()`, in which a period passes without a command.
 
     A driver of an arm with a gripper may have `gripper(word)`, which is called with `"close"` or `"open"`, once, where
-    the controller's motion says so (see `repeat`), and returns without waiting for it.
+    the controller's motion contains that (see `repeat`), and returns without waiting for the gripper.
 
     A driver that can let a person guide the arm also has `release()`, after which the joints turn freely, and `hold()`,
-    after which the arm stays where it is. Where an arm cannot do that, `release()` raises a `ConfigurationError` that
-    says how else to guide it.
+    after which the arm keeps its position. If an arm cannot do that, `release()` raises a `ConfigurationError` that
+    explains how else to guide it.
 
     Attributes:
-        period: Between two commands [s].
+        period: Time between two commands [s].
     """
 
     period: float
 
     def read(self) -> tuple[Posture, Posture | None, Posture | None]:
-        """Return the newest measured joint positions [rad or m], velocities and efforts, or None where there are none.
+        """Return the newest measured joint positions [rad or m], velocities and efforts; None for missing ones.
 
         Each is an array in the order of the joints, or a mapping from joint names.
         """
         ...
 
     def command(self, q: Posture, u: Posture) -> object:
-        """Go to joint positions at the end of the period [rad or m], or at these velocities [rad/s or m/s]."""
+        """Send joint positions for the end of the period, or velocities: a driver uses one of them.
+
+        Args:
+            q: Joint positions (nv,) [rad or m].
+            u: Joint velocities (nv,) [rad/s or m/s].
+
+        Returns:
+            Anything; the value is ignored.
+        """
         ...
 
 
 @final
 @dataclass(frozen=True)
 class RunRecord:
-    """What `run` did.
+    """Record of a `run`.
 
     Attributes:
         rollout: Measured postures, commanded velocities, statuses; of a long run every second, fourth, ... cycle.
         cycles: Number of cycles.
         overruns: Number of cycles that began late by more than half a period.
-        longest_delay: Of the beginning of a cycle [s].
-        ended: Why it ended, a sentence.
-        ordered: Whether it ended as it was meant to: after its duration, for the caller's reason, or by a signal.
-        notes: What the run cannot tell, in sentences.
+        longest_delay: Largest delay of the beginning of a cycle [s].
+        ended: Reason why the run ended, a sentence.
+        ordered: True if it ended as intended: after its duration, for the caller's reason, or by a signal.
+        notes: Limitations of the record, in sentences.
     """
 
     rollout: Rollout
@@ -108,48 +116,49 @@ def run(
 ) -> RunRecord:
     """Run a servo loop on an arm: read, update, command, once per period.
 
-    However it ends, the arm first brakes within its limits and then stands: after the duration, by a signal, where the
-    driver or `until` raises or the driver returns what is no posture, where the arm is blocked and has let go, where
-    the period changes or cannot be held, and when the interpreter ends while it runs in a thread. Unless that was the
-    duration or the caller's reason, the driver's `hold()` is then called, if it has one. A reading that is wrong once
-    brakes the arm and does not end the run. Python's garbage collector rests meanwhile.
+    However it ends, the arm first brakes within its limits and then stays at rest: after the duration, by a signal, if
+    the driver or `until` raises or the driver returns no valid posture, if the arm is blocked and has relaxed, if the
+    period changes or cannot be kept, and when the interpreter ends while it runs in a thread. Unless the reason was the
+    duration or the caller's, the driver's `hold()` is then called, if it has one. A single wrong reading brakes the arm
+    and does not end the run. Python's garbage collector is off meanwhile.
 
-    Nothing is sent before two readings in turn agree to 0.05 rad or m and lie as near to the start of a plan, of a
-    repetition or of a `FollowMotion` (else to where the loop was reset to, or farther off by what its servos give way):
-    a driver may read zeros, or an old posture, until its first state has come. A second is given for that; then the run
-    ends with the joint and both figures. Without a start of its own, a driver that goes on reading
-    zeros cannot be told from an arm that is there: read None until there is a state.
+    Nothing is sent before two successive readings agree to 0.05 rad or m and lie as near to the start of a plan, of a
+    repetition or of a `FollowMotion` (otherwise to the posture of the last `loop.reset`, or at a larger distance that
+    the servos may deflect by): a driver may read zeros, or an old posture, until its first state has come. After a
+    second without such readings, the run ends and reports the joint and both figures. Without a start of its own, a
+    driver that goes on reading zeros cannot be distinguished from an arm at zero: return None until there is a state.
 
-    A driver that reads other joints, units or senses than it commands is told by its arm: a first reading outside the
-    limits, or an arm that goes off while it is sent to where it is, ends the run at once, and nothing more is sent.
+    A driver that reads other joints, units or signs than it commands is detected from the arm's motion: a first reading
+    outside the limits, or an arm that drifts while it is commanded to its own position, ends the run at once, and
+    nothing more is sent.
 
     The signals are Ctrl-C, SIGTERM and SIGHUP (a stopped container, a closed terminal). After Ctrl-C the run returns.
-    After the other two the program ends, by `SystemExit` with 128 and the number of the signal; where it has a handler
-    of its own for the signal, that is called and the run returns. A call of the driver that blocks is waited for. A
-    signal gives it up where it has taken longer than the loop's `stale_after`, and Ctrl-C also when pressed again:
-    after `read()` the arm brakes without being read, after `command()` nothing more is sent.
+    After the other two the program ends, by `SystemExit` with 128 and the number of the signal; if it has a handler of
+    its own for the signal, that is called and the run returns. `run` waits for a call of the driver that blocks. A
+    signal aborts the call if it has taken longer than the loop's `stale_after`, and so does a second Ctrl-C: after
+    `read()` the arm brakes without being read, after `command()` nothing more is sent.
 
     Nothing catches kill -9, a crash of the interpreter or a loss of power: a driver should have a watchdog of its own,
-    which brakes the arm where no command has come for some periods, as those of UR, Franka and xArm have.
+    which brakes the arm if no command has come for some periods, as UR, Franka and xArm have.
 
-    The loop begins anew, from the commanded posture where `loop.reset(q)` has given one, otherwise from the first
-    measured one.
+    The loop starts afresh, from the commanded posture if `loop.reset(q)` has set one, otherwise from the first measured
+    one.
 
     Args:
         loop: The loop; its `dt` is the driver's period.
         driver: The arm, see `Driver`.
         duration: Time after which the arm brakes [s]; None goes on until Ctrl-C.
-        until: Asked in each cycle: a reason in words, once there is one, after which the arm brakes. What it raises is
-            raised when the arm stands.
-        clock: Where the time comes from, for an arm whose time is not the computer's. That of a driver which is
-            `simulated` is the number of commands.
+        until: Called in each cycle: it returns a reason in words as soon as there is one, after which the arm brakes,
+            and else an empty text. Its exceptions are raised when the arm is at rest.
+        clock: Source of the time, for an arm whose time is not the computer's. The clock of a `simulated` driver is the
+            number of commands.
 
     Returns:
-        What was done and why it ended.
+        The record, with the reason why the run ended.
 
     Raises:
         ConfigurationError: The driver's period is not the loop's, its joints are not the robot's, or the duration is
-            no time.
+            not a time.
     """
     if duration is not None and not 0.0 <= duration < math.inf:
         raise ConfigurationError(f"duration must be a number of seconds, got {duration!r}")
@@ -169,27 +178,38 @@ def run(
 
 
 class Clock(Protocol):
-    """Where a cycle takes its time from."""
+    """Source of a cycle's time."""
 
     def now(self) -> float:
-        """Return the time [s]; it never falls."""
+        """Return the time [s]; it never decreases."""
         ...
 
     def wait_until(self, moment: float) -> object:
-        """Return at a time [s], or at once where that is over."""
+        """Wait until a time, or return at once if it has passed.
+
+        Args:
+            moment: Time of this clock [s].
+
+        Returns:
+            Anything; the value is ignored.
+        """
         ...
 
 
 @final
 class ComputerClock:
-    """The time that passes here."""
+    """Clock of this computer."""
 
     def now(self) -> float:
         """Return the time since an arbitrary moment [s]."""
         return time.perf_counter()
 
     def wait_until(self, moment: float) -> None:
-        """Sleep, then spin: sleeping may wake up 0.2 ms late."""
+        """Wait until a time: sleep, then spin, because sleeping may end 0.2 ms late.
+
+        Args:
+            moment: Time of this clock [s].
+        """
         time.sleep(max(0.0, moment - time.perf_counter() - 2e-4))
         while time.perf_counter() < moment:
             pass
@@ -200,36 +220,40 @@ class Pace:
     """Cycles of a driver, one per period; the clock of a simulated driver is their number.
 
     Args:
-        driver: Its `period`, and whether it is `simulated`.
-        clock: Where the time of other drivers comes from.
+        driver: Its `period`, and its `simulated`, are used.
+        clock: Source of the time of drivers that are not simulated.
 
     Attributes:
-        period: Between two cycles [s].
+        period: Time between two cycles [s].
         simulated: True if the cycles are not waited for.
         cycles: Number of cycles, counted by the caller.
         overruns: Number of cycles that began late by more than half a period.
-        longest_delay: Of the beginning of a cycle [s].
-        fault: Why the period is not held, in words; empty if it is.
+        longest_delay: Largest delay of the beginning of a cycle [s].
+        fault: Why the period is not kept, in words; empty if it is.
     """
 
     def __init__(self, driver: Any, clock: Clock):
         self._driver, self._clock, self.period = driver, clock, float(driver.period)
         self.simulated = bool(getattr(driver, "simulated", False))
         self.cycles, self.overruns, self.longest_delay, self.fault = 0, 0, 0.0, ""
-        self._missed, self._due = 0.0, clock.now()  # share of the periods of late that were missed, next cycle [s]
+        self._missed, self._due = 0.0, clock.now()  # share of the recent periods that were missed, next cycle [s]
         self.begin()
 
     def begin(self) -> None:
-        """Count the time of a clock from the next cycle on."""
+        """Start the time of a clock at the next cycle."""
         self._start, self._began = self._due, ComputerClock().now()
 
     @property
     def time(self) -> float:
-        """Time since `begin`, that of a simulated driver since its first cycle [s]."""
+        """Time since `begin` [s]; for a simulated driver since its first cycle."""
         return self.cycles * self.period if self.simulated else self._clock.now() - self._start
 
     def wait(self) -> float:
-        """Wait for the next cycle and return when it begins [s]; a period that was missed is not made up for."""
+        """Wait for the next cycle; a missed period is not made up for.
+
+        Returns:
+            Time at which the cycle begins [s], see `time`.
+        """
         period, time, late = self.period, self.time, 0.0
         if not self.simulated:
             self._clock.wait_until(self._due)
@@ -238,13 +262,13 @@ class Pace:
         self.longest_delay = max(self.longest_delay, late)
         self.overruns += late > 0.5 * period
         missed = int(max(0.0, late) / period)
-        # where half of the periods of a second were missed, the period cannot be held
+        # if half of the periods of a second were missed, the period cannot be kept
         self._missed += (missed / (missed + 1.0) - self._missed) * min(1.0, (missed + 1.0) * period)
         if self._missed > 0.5 * (1.0 - math.exp(-1.0)):
             seconds = ComputerClock().now() - self._began
             self.fault = f"the period of {1e3 * period:g} ms cannot be held: cycles begin {1e3 * late:.2g} ms late"
             if in_milliseconds(time, seconds):
-                self.fault += f"; the clock went on by {time:.3g} in {seconds:.1g} s: it is to count seconds"
+                self.fault += f"; the clock advanced by {time:.3g} in {seconds:.1g} s: it must count seconds"
         if self._driver.period != period:
             self.fault = f"the driver's period changed from {1e3 * period:g} to {1e3 * self._driver.period:g} ms"
         self._due += period * (missed + 1)
@@ -252,128 +276,147 @@ class Pace:
 
 
 @final
-class GivenUp(KeyboardInterrupt):
-    """A signal while a call of the driver was not returning; its argument says for how long [s]."""
+class CallAborted(KeyboardInterrupt):
+    """A signal during a call of the driver that does not return; its argument is the time since the call [s]."""
 
 
 @final
-class OrderlyEnd:
-    """However a cycle ends, the arm holds itself: by a signal, an exception, or with the interpreter.
+class Shutdown:
+    """Graceful shutdown: however a cycle ends, by a signal, an exception, or with the interpreter, the arm holds
+    itself.
 
-    Ctrl-C, SIGTERM and SIGHUP (a stopped container, a closed terminal) ask the cycle to end, wherever it is. They come
-    to the main thread; a cycle in another one, which would be killed with a daemon thread, is asked when the
-    interpreter ends, and waited for. A program that was started to ignore SIGTERM or SIGHUP, as by nohup, goes on
-    ignoring it. After one of these two, once the cycle has ended, the program's own handler is called; where there is
-    none, the program ends by `SystemExit` with 128 and the number of the signal. What cannot be caught (kill -9, a loss
-    of power) needs a watchdog in the driver or in the arm. Meanwhile no garbage is collected: that was seen to take
-    260 ms.
+    Ctrl-C, SIGTERM and SIGHUP (a stopped container, a closed terminal) end the cycle, at any point of it. They come to
+    the main thread; a cycle in another one, which would be killed with a daemon thread, ends when the interpreter ends,
+    which waits for it. A program that was started to ignore SIGTERM or SIGHUP, as by nohup, goes on ignoring it. After
+    one of these two, once the cycle has ended, the program's own handler is called; if there is none, the program ends
+    by `SystemExit` with 128 and the number of the signal. Uncatchable ends (kill -9, a loss of power) need a watchdog
+    in the driver or in the arm. Meanwhile no garbage is collected: a collection of 260 ms was measured.
 
     Args:
-        driver: Its `hold()`, where it has one, is called at the end.
+        driver: Its `hold()`, if it has one, is called at the end.
         brake: Called once, when there is a reason to end.
-        patience: Time that a call of the driver may take [s]; a signal after that gives the call up.
+        patience: Time that a call of the driver may take [s]; a signal after that aborts the call.
         clock: Measures that time.
 
     Attributes:
         reason: Why the cycle is to end, in words; empty so far.
-        ordered: Whether it ends for that reason as it was meant to.
-        signals: Those that have come; the end of the interpreter counts as Ctrl-C.
-        holds: Whether `hold()` is to be called; a driver that has not returned from one call is not asked for another.
-        failed: Call that was given up, or `hold()` that raised -> what went wrong, in words.
-        raised: What is to be raised when the arm stands.
+        ordered: True if it ends for that reason as intended.
+        signals: Signals that have come; the end of the interpreter counts as Ctrl-C.
+        holds: True if `hold()` will be called; a driver that has not returned from one call gets no other.
+        failed: Aborted call, or `hold()` that raised -> the fault, in words.
+        raised: Exception that will be raised when the arm is at rest.
     """
 
     def __init__(self, driver: object, brake: Callable[[], object], patience: float, clock: Clock):
         self._driver, self._brake, self._patience, self._clock = driver, brake, patience, clock
-        self.reason, self.ordered, self.holds, self._collected = "", False, True, gc.isenabled()
-        self.failed, self.signals, self._before = dict[str, str](), list[int](), dict[int, Any]()  # handlers before
+        self.reason, self.ordered, self.holds, self._gc_was_on = "", False, True, gc.isenabled()
+        self.failed, self.signals, self._handlers = dict[str, str](), list[int](), dict[int, Any]()  # handlers before
         self.raised: BaseException | None = None
-        # when the driver was called that has not returned yet [s]; set when the cycle is over
-        self._called, self._over = math.inf, threading.Event()
+        # time of the driver's call that has not returned yet [s]; event that the cycle is over
+        self._call_time, self._is_over = math.inf, threading.Event()
 
     def stop(self, reason: str, ordered: bool = False) -> None:
-        """Brake, and end when the arm stands; the first reason counts, an empty one is none."""
+        """Brake, and end when the arm is at rest; the first reason counts.
+
+        Args:
+            reason: Why, in words; an empty one does nothing.
+            ordered: True if the cycle thereby ends as intended.
+        """
         if reason and not self.reason:
             self.reason, self.ordered = reason, ordered
             self._brake()
 
     @property
     def outcome(self) -> tuple[str, bool]:
-        """Why the cycle ended and what failed then, in words; and whether it ended as it was meant to."""
+        """Why the cycle ended and the faults of the shutdown, in words; and True if it ended as intended."""
         return "; ".join((self.reason, *self.failed.values())), self.ordered and not self.failed
 
     @contextmanager
     def waiting(self, call: str) -> Iterator[None]:
-        """Guard a call of the driver, which a signal gives up if it does not return, as does a second Ctrl-C."""
-        self._called = self._clock.now()
+        """Handle a call of the driver, which a signal aborts if it does not return, as does a second Ctrl-C.
+
+        Args:
+            call: Name of the driver's method, for `failed`.
+
+        Yields:
+            Nothing.
+        """
+        self._call_time = self._clock.now()
         try:
             yield
-        except GivenUp as error:
+        except CallAborted as error:
             self.failed[call] = f"the driver's {call}() had not returned for {error.args[0]:.2g} s"
         finally:
-            self._called = math.inf
+            self._call_time = math.inf
 
     def ask(self, call: str, *arguments: Any) -> Any:
-        """Return the driver's answer; None where it has no such call, or one that does not return or raises."""
+        """Return the driver's answer; None if it has no such method, or one that does not return or raises.
+
+        Args:
+            call: Name of the driver's method.
+            *arguments: Arguments of the call.
+        """
         try:
             if call not in self.failed and (function := getattr(self._driver, call, None)) is not None:
                 with self.waiting(call):
                     return function(*arguments)
         except KeyboardInterrupt:
             self.stop("Ctrl-C", True)
-        except BaseException as error:  # whatever it is, an arm in motion must brake: it is raised when the arm stands
+        except (
+            BaseException
+        ) as error:  # whatever it is, an arm in motion must brake: it is raised when the arm is at rest
             self.stop(f"the driver's {call}() failed: {type(error).__name__}: {error}")
             self.raised = self.raised if isinstance(error, Exception) else error
         return None
 
     def __enter__(self) -> None:
-        atexit.register(self._interpreter_ends)
+        atexit.register(self._stop_at_exit)
         names = ("SIGINT", "SIGTERM", "SIGHUP") if threading.current_thread() is threading.main_thread() else ()
         for number in [number for number in signal.Signals if number.name in names]:  # Windows has no SIGHUP
-            before = signal.getsignal(number)  # None where it is not Python's to put back
+            before = signal.getsignal(number)  # None for a handler that Python did not install and cannot restore
             if before is not None and (before != signal.SIG_IGN or number == signal.SIGINT):
-                self._before[number] = signal.signal(number, self._receive)
+                self._handlers[number] = signal.signal(number, self._receive)
         gc.collect()
         gc.disable()
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
-        if self._collected:
+        if self._gc_was_on:
             gc.enable()
         try:
             if self.holds or kind is not None:
                 with self.waiting("hold"):
                     getattr(self._driver, "hold", lambda: None)()
-        except Exception as error:  # whatever a driver raises, what was recorded is kept
+        except Exception as error:  # whatever a driver raises, the record is kept
             self.failed["hold"] = f"the driver's hold() failed: {type(error).__name__}: {error}"
         finally:
-            self._over.set()
-            atexit.unregister(self._interpreter_ends)
-            for number, handler in self._before.items():
+            self._is_over.set()
+            atexit.unregister(self._stop_at_exit)
+            for number, handler in self._handlers.items():
                 signal.signal(number, handler)
         for number in [number for number in self.signals if number != signal.SIGINT][-1:]:
-            if not callable(handler := self._before[number]):
-                raise SystemExit(128 + number)  # as a shell says it
+            if not callable(handler := self._handlers[number]):
+                raise SystemExit(128 + number)  # the exit code that a shell reports
             handler(number, None)
 
-    def _interpreter_ends(self) -> None:
-        """The main thread is over: brake, before this thread is killed."""
+    def _stop_at_exit(self) -> None:
+        """Brake: the main thread has ended, and this thread will be killed."""
         self.signals.append(signal.SIGINT)
         self.stop("the interpreter ended", True)
-        self._over.wait(12.0)  # [s] for the arm to brake and to hold itself
+        self._is_over.wait(12.0)  # [s] for the arm to brake and to hold itself
 
     def _receive(self, number: int, frame: object) -> None:
-        """Stop; in a call of the driver that does not return, give that call up.
+        """Stop, and abort a call of the driver that does not return.
 
         Raises:
-            GivenUp: In the call of the driver.
+            CallAborted: In the call of the driver.
         """
         by_hand = number == signal.SIGINT
-        again = by_hand and number in self.signals  # not of a SIGHUP, which kernel and shell may both send
+        again = by_hand and number in self.signals  # a second SIGHUP does not count: kernel and shell may both send one
         self.signals.append(number)
         self.stop("Ctrl-C" if by_hand else signal.Signals(number).name, True)
-        taken = self._clock.now() - self._called  # negative if no call is under way
-        if taken > self._patience or (again and taken >= 0.0):
-            raise GivenUp(taken)
+        elapsed = self._clock.now() - self._call_time  # negative if no call is under way
+        if elapsed > self._patience or (again and elapsed >= 0.0):
+            raise CallAborted(elapsed)
 
 
 @final
@@ -382,20 +425,27 @@ class _Cycle:
 
     def __init__(self, loop: ServoLoop, arm: _Arm, clock: Clock):
         self._loop, self._robot, self._arm, self._clock = loop, loop.robot, arm, clock
-        self.ending = OrderlyEnd(arm, loop.stop, loop.stale_after, clock)
-        own = loop.rules.controller.start
-        yields = np.maximum(_AWAY, loop.state.following.farthest())  # to the largest force that is allowed
-        self._start, self._within = (loop.position, yields) if own is None else (own, _AWAY)
-        self._samples, self._stride = list[_Sample](), 1  # and cycles from one sample to the next
-        self._place = np.zeros(loop.robot.nv)  # first positions that were read, and later those that were sent last
-        self._doubted = self._astray = 0  # first readings; readings in turn that say that the arm goes off
-        self._words = self._told = ""  # of the loop, on what stopped the arm; to the gripper
+        self.ending = Shutdown(arm, loop.stop, loop.stale_after, clock)
+        start = loop.rules.controller.start
+        # deflections under the largest allowed force
+        yields = np.maximum(_DRIFT, loop.state.following.largest_relaxation())
+        self._start, self._start_tolerance = (loop.position, yields) if start is None else (start, _DRIFT)
+        self._samples, self._stride = list[_Sample](), 1  # stride: cycles from one sample to the next
+        self._place = np.zeros(loop.robot.nv)  # positions of the first readings, later of the newest command
+        # number of first readings, and of successive readings that show a drift of the arm
+        self._doubt_count = self._drift_count = 0
+        self._words = self._gripper_word = ""  # the loop's words on the reason of the stop; newest word to the gripper
         self._continuous = np.array([b.kind == "continuous" for b in loop.robot.blocks for _ in b.coordinate_names])
 
     def run(self, duration: float, until: Callable[[], str]) -> None:
-        """Run until the arm stands after a reason to stop."""
+        """Run until the arm is at rest after a reason to stop.
+
+        Args:
+            duration: Time after which the arm brakes [s]; inf for none.
+            until: Returns a reason to stop in words, or an empty text.
+        """
         loop, ending, last = self._loop, self.ending, math.inf
-        self._pace = pace = Pace(self._arm, self._clock)  # which counts from here on: collecting garbage takes time
+        self._pace = pace = Pace(self._arm, self._clock)  # its time starts here, after the garbage collection
         while True:
             t = pace.wait()
             ending.stop(pace.fault)
@@ -406,7 +456,7 @@ class _Cycle:
                 ending.raised = error
                 ending.stop(f"{type(error).__name__}: {error}")
             q = ending.ask("read")
-            if self._doubt(q):  # nothing is sent before a reading is believed
+            if self._describe_doubt(q):  # nothing is sent before a reading is believed
                 if ending.reason:
                     break
                 if pace.simulated:
@@ -415,12 +465,12 @@ class _Cycle:
                 pace.begin()
                 continue
             command = loop.update(q, t)
-            if not ending.reason and (astray := self._goes_astray(q, command.status is Status.FOLLOWING_ERROR)):
+            if not ending.reason and (astray := self._describe_drift(q, command.status is Status.FOLLOWING_ERROR)):
                 ending.stop(astray)
-                break  # whatever is sent to such a driver, the arm goes elsewhere: it is only held
+                break  # no command moves such an arm as intended: only hold() is called
             self._send(t, command)
             pace.cycles += 1
-            stands = self._stands(command)
+            stands = self._is_at_rest(command)
             last = min(last, t + LONGEST_STOP) if ending.reason else math.inf
             if stands or t >= last or "command" in ending.failed:
                 break
@@ -429,46 +479,46 @@ class _Cycle:
         if ending.raised is not None:
             raise ending.raised
 
-    def _doubt(self, q: Any) -> str:
-        """Return why a first reading is not believed, in words; empty if it is, or if it is not a posture.
+    def _describe_doubt(self, q: Any) -> str:
+        """Return why a first reading is not trusted, in words; empty if it is, or if it is not a posture.
 
-        A driver that has no state yet may give zeros, or its last posture: two readings in turn must agree, with each
-        other and with where the motion starts, or where the loop was reset to. A reading that is none of this arm ends
-        the run.
+        A driver that has no state yet may return zeros, or its last posture: two successive readings must agree, with
+        each other and with the start of the motion, or the posture of the last reset. A reading that cannot be of this
+        arm ends the run.
         """
-        loop, robot, before = self._loop, self._robot, self._place if self._doubted else None
-        if loop.measured is not None or (q := _numbers(robot, q)) is None:
+        loop, robot, before = self._loop, self._robot, self._place if self._doubt_count else None
+        if loop.measured is not None or (q := _as_posture(robot, q)) is None:
             return ""
         self._place, words = robot.positions(q), ""
         where = "where the motion starts: bring the arm there, or start from where it stands"
-        away = _apart(robot, self._start, q, self._within, where)
-        if away := away or _apart(robot, before, q, _AWAY, "a period before: the arm moves"):
-            words = f"nothing was sent: {away}; or the driver has no state yet, and is to read None"
+        away = _describe_distance(robot, self._start, q, self._start_tolerance, where)
+        if away := away or _describe_distance(robot, before, q, _DRIFT, "a period before: the arm moves"):
+            words = f"nothing was sent: {away}; or the driver has no state yet and should return None"
         elif before is None:
             words = "one reading alone"
-        self._doubted += 1
-        outside, is_late = far_outside(robot, self._place), self._doubted * self._pace.period > 1.0  # [s]
+        self._doubt_count += 1
+        outside, is_late = far_outside(robot, self._place), self._doubt_count * self._pace.period > 1.0  # [s]
         self.ending.stop(outside or (words if is_late else ""))
         return outside or words
 
-    def _goes_astray(self, q: Any, tripped: bool) -> str:
-        """Return how the arm goes off while it is sent to where it is, in words; empty if it does not.
+    def _describe_drift(self, q: Any, tripped: bool) -> str:
+        """Return in words that the arm drifts while it is commanded to its own position; empty if it does not.
 
-        The arm of a driver that reads joints in another order than it commands them, or in another unit or sense, does
-        so. One reading may be wrong, unless the arm is too far from where it was sent: `tripped`.
+        This happens if a driver reads joints in another order than it commands them, or in another unit or sign. A
+        single reading may be wrong, unless the arm is too far from its commanded position: `tripped`.
         """
-        q = _numbers(self._robot, q)
+        q = _as_posture(self._robot, q)
         if q is None or not self._samples:
             return ""
         _, first, _, start = self._samples[0]
-        went = float(np.abs(self._robot.difference(start, self._place)).max())
-        causes = "it was in motion or is pushed, or the driver reads other joints, units or senses than it commands"
-        words = f"at first, and was sent by {went:.1g} rad or m at most: {causes}"
-        # an arm that was sent by less than 0.02 rad or m, and is four times as far away, has gone by itself
-        most = max(0.0 if tripped else _AWAY, 4.0 * went)
-        away = _apart(self._robot, first, q, most, words) if went < 0.02 else ""
-        self._astray = self._astray + 1 if away else 0
-        return away if self._astray > (not tripped) else ""
+        travel = float(np.abs(self._robot.difference(start, self._place)).max())
+        causes = "it was in motion or is pushed, or the driver reads other joints, units or signs than it commands"
+        words = f"at first, with commands of {travel:.1g} rad or m at most: {causes}"
+        # an arm that was commanded by less than 0.02 rad or m, and has moved four times as far, has moved by itself
+        most = max(0.0 if tripped else _DRIFT, 4.0 * travel)
+        away = _describe_distance(self._robot, first, q, most, words) if travel < 0.02 else ""
+        self._drift_count = self._drift_count + 1 if away else 0
+        return away if self._drift_count > (not tripped) else ""
 
     def _send(self, t: float, command: Command) -> None:
         """Send the commanded posture and velocity to the driver, and a new word to its gripper, once; note a sample."""
@@ -477,53 +527,53 @@ class _Cycle:
             return
         x = self._robot.positions(loop.position)
         turns = np.round((before - x) / (2.0 * math.pi)) * self._continuous
-        self._place = x + 2.0 * math.pi * turns  # in the turns that the driver counts
+        self._place = x + 2.0 * math.pi * turns  # in the driver's count of turns
         self.ending.ask("command", self._place, command.velocity)
         word = getattr(loop.controller, "gripper", None)
-        if word not in (None, self._told) and not self.ending.reason:
-            self._told = word
+        if word not in (None, self._gripper_word) and not self.ending.reason:
+            self._gripper_word = word
             self.ending.ask("gripper", word)
         if self._pace.cycles % self._stride == 0:
             self._samples.append((t, loop.measured, command, before if self._samples else self._place))
         if len(self._samples) > SAMPLES:  # of a long run every second, fourth, ...
             self._samples, self._stride = self._samples[::2], 2 * self._stride
 
-    def _stands(self, command: Command) -> bool:
-        """Whether the arm stands for a reason to end; gives the reason where it is the loop's."""
+    def _is_at_rest(self, command: Command) -> bool:
+        """Return True if the arm is at rest for a reason to end; set the reason if it is the loop's."""
         loop, ending, patience, period = self._loop, self.ending, self._loop.stale_after, self._pace.period
         stands = not (command.velocity.any() or loop.state.lets_go)
         is_blocked = command.status is Status.FOLLOWING_ERROR
         is_silent = stands and command.status in (Status.INVALID_INPUT, Status.STALE)
-        # a driver that is not ready yet, or one wrong reading, is waited for
+        # wait for a driver that is not ready yet, and after a single wrong reading
         is_silent &= self._pace.cycles * period >= patience and not 0.0 < loop.state.timing.silent < patience
         if is_blocked or is_silent:
-            words, causes = loop.stopped_by or f"the loop stands: {command.status}", ""
+            words, causes = loop.stopped_by or f"the loop has stopped: {command.status}", ""
             past = [q for _, q, _, _ in self._samples[-int(max(3, 0.02 / (self._stride * period))) :]]
             if is_blocked and len(past) > 2 and all(np.array_equal(q, past[-1]) for q in past):
-                causes = "the driver has gone on returning the same posture, or the arm is off: "
+                causes = "the driver keeps returning the same posture, or the arm is off: "
             if not ending.reason:
-                ending.stop(_mixed_up(self._robot, self._samples) + causes + words)
-            ending.reason = ending.reason.replace(self._words or words, words)  # more readings tell more of it
+                ending.stop(_describe_mismatch(self._robot, self._samples) + causes + words)
+            ending.reason = ending.reason.replace(self._words or words, words)  # more readings make it more precise
             self._words = words
         return stands and bool(ending.reason)
 
     def record(self) -> RunRecord:
-        """Return what was done."""
+        """Return the record of the run."""
         loop, pace = self._loop, self._pace
         rollout = rollout_of(loop.robot, loop, [(t, q, c, loop.task_error(q, t)) for t, q, c, _ in self._samples])
-        slips = "whether a handle stayed in the fingers is not known, positions do not tell it: look at the fixture"
+        note = "positions do not show whether the handle stayed in the fingers: look at the fixture"
         numbers = pace.cycles, pace.overruns, pace.longest_delay
-        return RunRecord(rollout, *numbers, *self.ending.outcome, () if self._told is None else (slips,))
+        return RunRecord(rollout, *numbers, *self.ending.outcome, () if self._gripper_word is None else (note,))
 
 
-def _numbers(robot: Robot, q: Any) -> Posture | None:
+def _as_posture(robot: Robot, q: Any) -> Posture | None:
     """Return a reading if it is as many finite numbers as a posture has, else None."""
     positions = finite(q, robot.nv)
     return finite(q, robot.nq) if positions is None else positions
 
 
-def _apart(robot: Robot, place: Posture | None, q: Posture, most: Vector | float, words: str) -> str:
-    """Return which joint is farther from a place than it may be [rad or m], in words; empty if none is."""
+def _describe_distance(robot: Robot, place: Posture | None, q: Posture, most: Vector | float, words: str) -> str:
+    """Return a joint that is farther from a posture than allowed [rad or m], in words; empty if none is."""
     most = np.maximum(most, np.finfo(float).eps)
     away = np.zeros(1) if place is None else np.abs(robot.difference(place, q)) / most
     if place is None or away[j := int(away.argmax())] <= 1.0:
@@ -532,44 +582,44 @@ def _apart(robot: Robot, place: Posture | None, q: Posture, most: Vector | float
     return f"joint {robot.joint_names[j]} reads {now:.3g} {unit}, and {was:.3g} {unit} {words}"
 
 
-def _mixed_up(robot: Robot, samples: Sequence[_Sample]) -> str:
-    """Return which other order, unit or sense of the joints explains the motion that was read, in words; or nothing."""
+def _describe_mismatch(robot: Robot, samples: Sequence[_Sample]) -> str:
+    """Return the order, unit or sign of the joints that explains the measured motion, in words; empty if none does."""
     if len(samples) < 3:
         return ""
-    some = samples[:: len(samples) // 512 + 1]  # more change nothing
-    read, sent = np.array([robot.positions(q) for _, q, _, _ in some]), np.array([sent for *_, sent in some])
-    read, sent = read - read.mean(axis=0), sent - sent.mean(axis=0)
-    own, theirs, products = np.sum(read**2, axis=0), np.sum(sent**2, axis=0), read.T @ sent
-    # an explanation leaves a tenth of what is left as it stands; one that exchanges joints is better by a thousandth
-    names, explanation, best = robot.joint_names, "", 0.1**2 * float(np.sum((read - sent) ** 2))
+    subset = samples[:: len(samples) // 512 + 1]  # more samples change nothing
+    measured, sent = np.array([robot.positions(q) for _, q, _, _ in subset]), np.array([sent for *_, sent in subset])
+    measured, sent = measured - measured.mean(axis=0), sent - sent.mean(axis=0)
+    measured_squares, sent_squares, products = np.sum(measured**2, axis=0), np.sum(sent**2, axis=0), measured.T @ sent
+    # an explanation reduces the deviation to a tenth; one that exchanges joints must be better by a thousandth more
+    names, explanation, best = robot.joint_names, "", 0.1**2 * float(np.sum((measured - sent) ** 2))
     own_order = 1e-3 * best * (1.0 - np.eye(robot.nv))
     for scale, unit in _SCALES.items():
-        # what each joint leaves of each path that was sent, in either sense
-        left = np.maximum(own[:, None] + scale**2 * theirs - 2.0 * scale * np.abs(products), 0.0)
-        pairs = linear_sum_assignment(left + own_order)
-        if (rest := float(left[pairs].sum())) >= best:
+        # squared residual of each joint for each commanded path, in either sense
+        residual = np.maximum(measured_squares[:, None] + scale**2 * sent_squares - 2.0 * scale * np.abs(products), 0.0)
+        pairs = linear_sum_assignment(residual + own_order)
+        if (rest := float(residual[pairs].sum())) >= best:
             continue
-        best, moved = rest, [(i, j) for i, j in zip(*pairs, strict=True) if own[i] > rest]
-        messages = [f"{names[i]} moves as {names[j]} is sent" for i, j in moved if i != j]
-        messages += [f"{names[i]} moves the other way round" for i, j in moved if products[i, j] < 0.0]
-        messages += [f"{scale:.3g} times as far as it is sent, as if in {unit} on one way"] if unit else []
+        best, moved = rest, [(i, j) for i, j in zip(*pairs, strict=True) if measured_squares[i] > rest]
+        messages = [f"{names[i]} moves as {names[j]} is commanded" for i, j in moved if i != j]
+        messages += [f"{names[i]} moves in the opposite sense" for i, j in moved if products[i, j] < 0.0]
+        messages += [f"{scale:.3g} times as far as commanded, as if in {unit} in one direction"] if unit else []
         explanation = "; ".join(messages)
-    look = "look how the driver orders its joints, and in which units and senses"
-    return f"the arm moves otherwise than it is sent ({explanation}): {look}; " if explanation else ""
+    remedy = "check the joint order, units and signs of the driver"
+    return f"the arm does not move as commanded ({explanation}): {remedy}; " if explanation else ""
 
 
 @final
 class _Arm:
-    """A driver in the order of the robot's joints; its further joints are sent where they were first measured.
+    """A driver in the order of the robot's joints; its further joints are sent to their first measured positions.
 
     Attributes:
-        rest: Joint -> where it was first measured; empty before.
+        rest: Joint -> first measured position; empty before.
     """
 
     def __init__(self, robot: Robot, driver: Any):
-        self._own, self._driver, self.rest = robot.joint_names, driver, dict[str, float]()
+        self._joints, self._driver, self.rest = robot.joint_names, driver, dict[str, float]()
         self._names: tuple[str, ...] = tuple(getattr(driver, "joint_names", None) or ())
-        missing = ", ".join(name for name in self._own if name not in self._names)
+        missing = ", ".join(name for name in self._joints if name not in self._names)
         if self._names and (missing or len(set(self._names)) < len(self._names)):
             wrong = f"missing {missing}" if missing else "one name occurs twice"
             raise ConfigurationError(f"the driver's joints are {', '.join(self._names)}: {wrong}")
@@ -592,16 +642,21 @@ class _Arm:
             q = dict(zip(self._names, q, strict=True))
         if not isinstance(q, Mapping):
             return None if q is None else np.array(q)  # the driver may go on writing into it
-        if missing := [name for name in self._own if name not in q]:
+        if missing := [name for name in self._joints if name not in q]:
             raise ConfigurationError(f"no position of joint {', '.join(missing)}")
         if not self.rest and finite(list(q.values()), len(q)) is not None:
             self.rest = dict(q)
-        return np.array([q[name] for name in self._own], dtype=np.float64)
+        return np.array([q[name] for name in self._joints], dtype=np.float64)
 
     def command(self, q: Vector, u: Vector) -> None:
-        """Send positions and velocities of the robot's joints."""
+        """Send positions and velocities of the robot's joints.
+
+        Args:
+            q: Joint positions (nv,) [rad or m].
+            u: Joint velocities (nv,) [rad/s or m/s].
+        """
         self._driver.command(self._sent(q, self.rest), self._sent(u, {}))
 
     def _sent(self, values: Vector, others: Mapping[str, float]) -> Posture:
-        numbers = {**others, **dict(zip(self._own, values, strict=True))}
-        return np.array([numbers.get(name, 0.0) for name in self._names or self._own], dtype=np.float64)
+        numbers = {**others, **dict(zip(self._joints, values, strict=True))}
+        return np.array([numbers.get(name, 0.0) for name in self._names or self._joints], dtype=np.float64)

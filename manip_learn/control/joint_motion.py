@@ -1,4 +1,4 @@
-"""Motions of the joints in time, within the limits: recorded ones, approaches, and laws one after the other."""
+"""Motions of the joints in time, within the limits: recorded motions, approaches, and sequences of laws."""
 
 from __future__ import annotations
 
@@ -26,35 +26,35 @@ from manip_learn.errors import ConfigurationError, counted
 from manip_learn.recordings.trajectory import Trajectory
 from manip_learn.robot.robot import Robot
 
-# [rad or m] of all joints together: a posture is reached, the hand within a millimetre of where it should be
+# [rad or m] norm over all joints at which a posture is reached: the hand is within a millimetre of its goal
 ARRIVED = 1e-3
 
 
 @final
 class FollowMotion(LimitedController):
-    """A controller that follows a joint motion as closely as the limits let it; for a `ServoLoop`.
+    """A controller that follows a joint motion as closely as the limits allow; for a `ServoLoop`.
 
     Between samples the motion is a monotone cubic (F. N. Fritsch and R. E. Carlson, 1980), which adds no overshoot. A
-    step that its joint could only make faster than its velocity limit is a jump: until the next sample the joint goes
-    on as before, and then to where the motion is in the shortest time. No other joint waits for it. Where the motion
+    step that its joint could only make faster than its velocity limit is a jump: until the next sample the joint
+    continues as before, and then moves to the motion in the shortest time. No other joint waits for it. If the motion
     itself is faster than the velocity limits or the limit of the tip's speed, its clock runs slower, so that the path
     stays the same. First the joints go to the first posture, at a quarter of their velocity limits, and the clock
-    starts there (`run` asks for an arm that is within 0.05 rad or m of it); at the end they stay at the last one.
+    starts there (`run` requires an arm that is within 0.05 rad or m of it); at the end they stay at the last one.
 
     Args:
         robot: The robot.
-        motion: What to follow, or anything with a rollout's `time`, `q` and `joint_names`; columns are matched by joint
-            names where it has some.
+        motion: Recorded motion, or anything with a rollout's `time`, `q` and `joint_names`; columns are matched by
+            joint names where it has some.
         limits: Limits; by default the robot's. A `ServoLoop` adds its own acceleration and jerk limits.
-        ahead: Time by which the output of a loop lags behind, which is made up for [s]; a `ServoLoop` with jerk limits
-            gives half of its average.
+        ahead: Time by which the output of a loop lags behind, for which the motion compensates [s]; a `ServoLoop` with
+            jerk limits sets half of its average.
 
     Attributes:
-        duration: Of the motion [s].
+        duration: Duration of the motion [s].
         jumps: Steps that a joint could only make faster than its limit, in sentences; a `ServoLoop` has them in its
             `notes`.
-        delay: How much longer than in the recording it has taken so far, the way to the first posture left out [s]; a
-            loop follows with a copy within its own limits, so ask `loop.controller.delay`.
+        delay: Additional time compared with the recording so far, without the motion to the first posture [s]; a loop
+            follows with a copy within its own limits, so read `loop.controller.delay`.
 
     Raises:
         ConfigurationError: Fewer than two samples, other joints than the robot's, numbers that are not finite, or time
@@ -72,7 +72,7 @@ class FollowMotion(LimitedController):
         True
     """
 
-    waits: bool = True  # its clock stands while the arm does
+    waits: bool = True  # its clock stops while the arm is at rest
 
     def __init__(self, robot: Robot, motion: Trajectory | Rollout, limits: Limits | None = None, *, ahead: float = 0.0):
         self.robot, self.motion, self.limits, self.ahead = robot, motion, limits or Limits(robot), float(ahead)
@@ -92,11 +92,23 @@ class FollowMotion(LimitedController):
         return self.at(0.0)
 
     def driven_motions(self, q: Posture) -> Float[np.ndarray, "nv nv"]:
-        """Return the motions of the joints that are driven: all."""
+        """Return the motions of the joints that are driven: all.
+
+        Args:
+            q: Posture; it does not matter.
+
+        Returns:
+            The identity (nv, nv).
+        """
         return np.eye(self.robot.nv)
 
     def with_limits(self, limits: Limits, lag: float = 0.0) -> FollowMotion:
-        """Return this motion within other limits; what is known ahead makes up for a lag [s]."""
+        """Return this motion within other limits.
+
+        Args:
+            limits: `Limits` of the same robot.
+            lag: Time by which the output of the loop lags behind [s], for which the motion compensates.
+        """
         return FollowMotion(self.robot, self.motion, limits, ahead=lag)
 
     def reset(self) -> None:
@@ -104,16 +116,20 @@ class FollowMotion(LimitedController):
         self._clock, self._since, self._rate, self.delay = -math.inf, math.inf, 0.0, 0.0
 
     def at(self, s: float) -> Vector:
-        """Return where the motion is s [s] after its first sample, joint positions [rad or m]."""
+        """Return joint positions of the motion (nv,) [rad or m].
+
+        Args:
+            s: Time since the first sample [s].
+        """
         return self._path.at(s, 0.0)[0]
 
     def __call__(
         self, q: Posture, t: float = 0.0, dt: float | None = None, previous: Vector | None = None, slide: float = 0.0
     ) -> Command:
-        """The velocity for the next dt.
+        """Return the velocity for the next dt.
 
         Raises:
-            ConfigurationError: No dt.
+            ConfigurationError: dt is missing.
         """
         if dt is None:
             raise ConfigurationError("FollowMotion needs the period: run it in ServoLoop(FollowMotion(...), dt)")
@@ -125,7 +141,7 @@ class FollowMotion(LimitedController):
             self._clock = 0.0
         limits, self._rate = self.limits, float(self._clock >= 0.0)
         wish, rate = self._wish(q, dt)
-        # the clock runs slower for the motion within the limits of the joints, all of the wish within the tip's
+        # the clock runs slower to keep the motion within the limits of the joints, and the whole wish within the tip's
         most, frames = float(np.max(np.abs(rate) / limits.velocity, initial=1.0)), limits.barriers
         if (times := max(most, frames.fastest(q, wish) / frames.speed)) > 1.0:
             self._rate /= times
@@ -141,14 +157,21 @@ class FollowMotion(LimitedController):
         return Command.of_joints(u, status, outside=bounds.outside, limiting_joint=j)
 
     def _wish(self, q: np.ndarray, dt: float) -> tuple[Vector, Vector]:
-        """Velocity of the motion, with that which closes the distance to it in the shortest time, and without."""
+        """Return the velocity of the motion, with the correction that closes the distance to it in the shortest time,
+        and without.
+        """
         goal, rate = self._path.at(max(self._clock, 0.0), (self.ahead + dt) * self._rate)
         rate = rate * self._rate
         away = self.robot.difference(q, goal) - dt * rate
         return rate + np.sign(away) * stopping_speed(np.abs(away), self.limits.acceleration, dt), rate
 
     def task_error(self, q: ArrayLike, t: float = 0.0) -> float:
-        """Return the largest distance of a joint from where the motion is now [rad or m]."""
+        """Return the largest distance of a joint from the motion at the present time of its clock [rad or m].
+
+        Args:
+            q: Posture.
+            t: Ignored; the motion has a clock of its own.
+        """
         return float(np.max(np.abs(self.robot.difference(q, self.at(max(self._clock, 0.0)))), initial=0.0))
 
     def __repr__(self) -> str:
@@ -162,7 +185,7 @@ class _Path:
     Attributes:
         time: shape (T,), of the samples, from 0 [s].
         pieces: shape (4, T, nv), coefficients of the positions after each sample, by powers of the time since then;
-            those of joints without limits go on over whole turns.
+            positions of joints without limits continue over whole turns.
         last: shape (T, nv), number of the last sample before the next jump of the joint.
         jumps: shape (T - 1, nv), length of the jump after each sample [rad or m], 0 where there is none.
     """
@@ -176,8 +199,8 @@ class _Path:
                 raise ConfigurationError(f"the motion has joints {', '.join(names)}: {robot.name!r} also has {missing}")
             q = q[:, [names.index(name) for name in robot.joint_names]]
         if not (len(q) == len(time) >= 2 and np.all(np.isfinite(time)) and np.all(np.diff(time) > 0.0)):
-            wanted = f"a motion has two or more samples at increasing, finite times and {robot.nv} joints"
-            raise ConfigurationError(f"{wanted}; got times of shape {time.shape} and positions of shape {q.shape}")
+            requirement = f"a motion has two or more samples at increasing, finite times and {robot.nv} joints"
+            raise ConfigurationError(f"{requirement}; got times of shape {time.shape} and positions of shape {q.shape}")
         # without whole turns between samples
         ways = map(robot.difference, q[:-1], q[1:])
         self.time, x = time - time[0], np.cumsum([robot.positions(q[0]), *ways], axis=0)
@@ -191,13 +214,17 @@ class _Path:
                     slope[part, j] = PchipInterpolator(time[part], x[part, j]).derivative()(time[part])
         slope[-1], self.pieces = 0.0, np.zeros((4, *x.shape))
         self.pieces[:2] = x, slope
-        # without bends a joint that jumps goes on along the tangent, and at the end stays
+        # without curvature a joint that jumps continues along the tangent, and stays at the end
         self.pieces[2:, :-1] = CubicHermiteSpline(time, x, slope).c[1::-1] * (self.jumps == 0.0)
 
     def at(self, s: float, ahead: float) -> tuple[Vector, Vector]:
-        """Return where the motion that is going on at time s is a little later, and its velocity.
+        """Return the positions and the velocity of the motion a little later than a time.
 
-        A jump in between is not foreseen: the joint goes on along its tangent.
+        A jump in between is not anticipated: the joint continues along its tangent.
+
+        Args:
+            s: Time since the first sample, which selects the piece of each joint [s].
+            ahead: Time after that [s].
         """
         now, then = np.maximum(np.searchsorted(self.time, (s, s + ahead), side="right") - 1, 0)
         piece = np.minimum(then, self.last[now])
@@ -206,46 +233,50 @@ class _Path:
 
 
 def every_joint(robot: Robot) -> Constraint:
-    """Return A(q) = I: a row for the velocity of each joint."""
-    one, rates = np.eye(robot.nv), partial(_same, np.zeros((robot.nv,) * 3))
-    return Constraint(one, CustomFeatures(partial(_same, one), robot.joint_names, derivative=rates, robot=robot))
+    """Return A(q) = I: a row for the velocity of each joint.
+
+    Args:
+        robot: The robot.
+    """
+    one, rates = np.eye(robot.nv), partial(_constant, np.zeros((robot.nv,) * 3))
+    return Constraint(one, CustomFeatures(partial(_constant, one), robot.joint_names, derivative=rates, robot=robot))
 
 
-def _same(value: np.ndarray, _q: np.ndarray) -> np.ndarray:
-    return value  # a function of a module can be pickled
+def _constant(value: np.ndarray, _q: np.ndarray) -> np.ndarray:
+    return value  # a function at module level can be pickled
 
 
 @final
 class JointMotion(Task):
-    """b = dq*/dt + gain (q*(t) - q): straight from posture to posture, at rest in each, or smoothly through all.
+    """b = dq*/dt + gain (q*(t) - q): a motion from posture to posture, at rest in each, or smooth through all of them.
 
-    It begins at time 0 of its law; a `LawSequence` has each law begin there. Each leg takes the time that its slowest
-    joint needs, and the tip where its speed is limited.
+    It begins at time 0 of its law; a `LawSequence` starts each law at 0. Each leg takes the time that its slowest joint
+    needs, and the tip where its speed is limited.
 
     Args:
-        limits: Of the robot's joints and tip.
+        limits: Limits of the robot's joints and tip.
         path: shape (k, nv), postures as joint positions [rad or m], the start first.
-        share: Of the joints' velocity limits that is used at most.
-        gripper: What a gripper does meanwhile, `"close"` or `"open"`, for which it has half a second at least.
-        through: One leg, a spline through all postures, in place of a straight one between each two.
+        share: Largest used share of the joints' velocity limits.
+        gripper: Action of a gripper during the motion, `"close"` or `"open"`, for which it has half a second at least.
+        through: True for a single leg, a spline through all postures, instead of straight legs between them.
 
     Attributes:
         start: shape (nv,), the first posture [rad or m].
-        duration: How long the motion takes where no limit slows it down [s].
+        duration: Duration of the motion if no limit slows it down [s].
 
     Raises:
         ConfigurationError: Postures that are not finite or of another size.
     """
 
     is_approach, waits, slides = True, True, False
-    gain = 10.0  # [1/s] rate at which deviations are taken back, as of a way
+    gain = 10.0  # [1/s] rate at which deviations are corrected, as for a `FreeDirection`
 
     def __init__(
         self, limits: Limits, path: ArrayLike, share: float = 1, gripper: Gripping | None = None, through: bool = False
     ):
         self._robot, table = limits.robot, np.array(limits.robot.checked_postures(path))
         self.gripper: Gripping | None = gripper
-        table = table[np.append(True, np.any(np.diff(table, axis=0) != 0.0, axis=1))]  # those of rest are no legs
+        table = table[np.append(True, np.any(np.diff(table, axis=0) != 0.0, axis=1))]  # without repeated postures
         legs = [table][: len(table) - 1] if through else [table[i : i + 2] for i in range(len(table) - 1)]
         self._legs = [_leg(limits, leg, share) for leg in legs]
         self._ends = np.cumsum([profile.duration for _, profile in self._legs])
@@ -254,7 +285,11 @@ class JointMotion(Task):
         self.start, self._last = table[0], table[-1]
 
     def at(self, t: float) -> tuple[Vector, Vector]:
-        """Return where the joints should be t [s] after the start, and how fast [rad or m, rad/s or m/s]."""
+        """Return positions (nv,) and velocities (nv,) of the joints [rad or m, rad/s or m/s].
+
+        Args:
+            t: Time since the start [s].
+        """
         leg = int(np.searchsorted(self._ends, t))
         if leg == len(self._legs):
             return self._last, np.zeros_like(self._last)
@@ -263,21 +298,39 @@ class JointMotion(Task):
         return path(share), rate * path(share, 1)
 
     def velocity(self, constraint: Constraint, q: np.ndarray, t: float) -> Vector:
-        """Return b of every joint."""
+        """Return b of every joint, shape (nv,) [rad/s or m/s].
+
+        Args:
+            constraint: `every_joint`; it is not used.
+            q: Posture.
+            t: Time since the start [s].
+        """
         goal, rate = self.at(t)
         return rate + self.gain * self._robot.difference(q, goal)
 
     def is_over(self, q: ArrayLike, t: float) -> bool:
-        """Return whether it has arrived at posture q at time t [s]; after a second more, but for encoder noise."""
+        """Return True if the time of the motion is over and it has arrived, or a second later: encoder noise may hide
+        the arrival.
+
+        Args:
+            q: Posture.
+            t: Time since the start [s].
+        """
         late, off = t - self.duration, self._robot.difference(np.asarray(q, dtype=np.float64), self._last)
         return late >= 0.0 and (late >= 1.0 or float(np.linalg.norm(off)) < ARRIVED)
 
     def error(self, constraint: Constraint, q: np.ndarray, t: float) -> float:
-        """Return how far the joints are from the last posture [rad or m]."""
+        """Return the distance of the joints from the last posture [rad or m], a norm over all joints.
+
+        Args:
+            constraint: Not used.
+            q: Posture.
+            t: Not used.
+        """
         return float(np.linalg.norm(self._robot.difference(q, self._last)))
 
     def goal(self) -> Vector:
-        """Return the last posture."""
+        """Return the last posture as joint positions (nv,) [rad or m]."""
         return self._last.copy()
 
     def __repr__(self) -> str:
@@ -285,39 +338,45 @@ class JointMotion(Task):
 
 
 def _leg(limits: Limits, knots: Float[np.ndarray, "k nv"], share: float) -> tuple[CubicSpline, MotionProfile]:
-    """Return a path through postures, and the share of it in time."""
+    """Return a path through postures, and the progress along it in time."""
     robot, tip = limits.robot, limits.barriers
 
-    def needed(q: np.ndarray, rates: np.ndarray) -> Posture:
-        """Return the time that each joint motion takes at a posture, at full speed."""
+    def time_at_full_speed(q: np.ndarray, rates: np.ndarray) -> Posture:
+        """Return the time that each joint motion takes at a posture, at full speed [s].
+
+        Args:
+            q: Postures (k, nv) as joint positions [rad or m].
+            rates: Joint motions (k, nv) there, per unit of the path [rad or m].
+        """
         times = np.max(np.abs(rates) / (share * limits.velocity), axis=1)
         fastest = [tip.fastest(robot.configuration(x), d) for x, d in zip(q, rates, strict=True)]
         return np.maximum(times, np.array(fastest) / tip.pace)
 
     steps = np.diff(knots, axis=0)
-    times = np.append(0.0, np.cumsum(needed(knots[:-1] + 0.5 * steps, steps)))
+    times = np.append(0.0, np.cumsum(time_at_full_speed(knots[:-1] + 0.5 * steps, steps)))
     path = CubicSpline(times / times[-1], knots, bc_type="natural")
-    fine = np.linspace(0.0, 1.0, 8 * max(4, len(steps)) + 1)  # the law keeps what is between
-    # half a second from rest to the speed, as a way takes
-    return path, MotionProfile(1.0, 1.0 / float(np.max(needed(path(fine), path(fine, 1)))), 0.5)
+    fine = np.linspace(0.0, 1.0, 8 * max(4, len(steps)) + 1)  # between these points the law keeps the limits
+    # half a second from rest to the speed, as for a `FreeDirection`
+    return path, MotionProfile(1.0, 1.0 / float(np.max(time_at_full_speed(path(fine), path(fine, 1)))), 0.5)
 
 
 @final
 class LawSequence(LimitedController):
-    """Laws one after the other: motions of all joints to a posture, and ways along what a constraint leaves free.
+    """Laws in sequence: motions of all joints to a posture, and motions along free directions of a constraint.
 
     It begins with the first call; a call at or before that time after later ones is a new run. A motion of the joints
-    is over when it has arrived, a way when all of it is done: from a way that is not done no other law takes over.
+    ends when it has arrived, a motion along a free direction when all of it is done: an incomplete one is not followed
+    by the next law.
 
     Args:
         laws: In order; the last one stays in force.
 
     Attributes:
         laws: The same.
-        robot: The robot of all.
-        limits: Limits of the first law; those of all in a loop.
-        number: Which law is in force, counted from 0.
-        began: Time at which that law took over [s]; None before the first call.
+        robot: The robot of all laws.
+        limits: Limits of the first law; in a loop the limits of all of them.
+        number: Number of the law in force, from 0.
+        began: Time at which that law started [s]; None before the first call.
     """
 
     def __init__(self, *laws: ResolvedRateController):
@@ -332,12 +391,12 @@ class LawSequence(LimitedController):
 
     @property
     def gripper(self) -> Gripping | None:
-        """What a gripper was last told, `"close"` or `"open"`; None before that."""
+        """The newest word to the gripper, `"close"` or `"open"`; None before the first."""
         return next((law.task.gripper for law in reversed(self.laws[: self.number + 1]) if law.task.gripper), None)
 
     @property
     def law(self) -> ResolvedRateController:
-        """The law that is in force."""
+        """The law in force."""
         return self.laws[self.number]
 
     @property
@@ -347,16 +406,16 @@ class LawSequence(LimitedController):
 
     @property
     def way(self) -> ResolvedRateController:
-        """The law in force, of a motion of the joints the one that it leads to."""
+        """The law in force; during a motion of the joints the law that it leads to."""
         ahead = self.laws[self.number :]
         return next((law for law in ahead if not law.task.is_approach), ahead[-1])
 
     def __call__(
         self, q: ArrayLike, t: float = 0.0, dt: float | None = None, previous: Vector | None = None, slide: float = 0.0
     ) -> Command:
-        """The command at posture q; arguments and errors as for `ResolvedRateController`.
+        """Return the command at posture q; arguments and errors as for `ResolvedRateController`.
 
-        The manipulability is always that of a way's rows.
+        The manipulability always belongs to the rows of `way`.
         """
         if t <= self._first < self._latest:
             self.reset()
@@ -369,11 +428,21 @@ class LawSequence(LimitedController):
         return command if law is way else command._replace(manipulability=manipulability(way.constraint, q))
 
     def task_error(self, q: ArrayLike, t: float = 0.0) -> float:
-        """Return the distance to the goal of the law in force [m or rad]."""
+        """Return the distance to the goal of the law in force [m or rad].
+
+        Args:
+            q: Posture.
+            t: Time of the calls [s].
+        """
         return self.law.task_error(q, t - (self.began or 0.0))
 
     def with_limits(self, limits: Limits, lag: float = 0.0) -> LawSequence:
-        """Return these laws with other limits; nothing makes up for a lag."""
+        """Return these laws with other limits.
+
+        Args:
+            limits: `Limits` of the same robot.
+            lag: Ignored: nothing compensates for a lag.
+        """
         return LawSequence(*(law.with_limits(limits) for law in self.laws))
 
     def __repr__(self) -> str:

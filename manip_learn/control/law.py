@@ -23,43 +23,38 @@ from manip_learn.control.tasks.point_attractor import Task, VelocityAndJacobian
 from manip_learn.errors import ConfigurationError, TargetError, advice
 from manip_learn.linalg import Inverse, inverse_singular_values, unit
 
-# lambda of held rows over that of driven ones: where a direction is lost, what holds the hand gives way last
-_HELD = 0.1
-# [m or 1] what a unit of velocity of the rows costs within bounds, where one [rad/s] of the policy's costs 1. At a
-# singular value of 0.3 the held rows and the task's direction give way by 1e-7 of what the policy asks for, the speed
-# along that direction by 1e-4; of the speed that bounds take from the task, 1e-3 goes beside its direction
+# [m or 1] velocity of the policy [rad/s] that costs as much as a unit of velocity of the rows, in the program within
+# bounds. At a singular value of 0.3 the held rows and the task's direction give way by 1e-7 of the policy's velocity,
+# the speed along that direction by 1e-4; of the speed that bounds take from the task, 1e-3 goes off its direction
 ACROSS, ALONG = 1e-4, 3e-3
-# an explicit step of dt follows a velocity field whose slope is at most this over dt: from 1 / dt on a step goes beyond
-# where the field leads, and the policy's own field adds to the task's
+# largest slope, times dt, of a velocity field that explicit steps of dt can follow: from 1 on a step overshoots, and
+# the policy's own field adds to the task's
 STABLE_SLOPE = 0.5
-_ROUNDING = 1e-9  # [rad/s or m/s] by how much rounding may; a joint that the task moves by less does not slow it down
-AT_GOAL = 1e-6  # [m/s or rad/s] a task that asks for less than this has reached its goal
-# a task stalls where less than the first share of the velocity asked for is left (a hand that is pressed against a wall
+_ROUNDING = 1e-9  # [rad/s or m/s] rounding error; a joint that the task moves by less does not slow it down
+AT_GOAL = 1e-6  # [m/s or rad/s] a task that requests less than this has reached its goal
+# a task stalls where less than the first share of the requested velocity is left (a hand that is pressed against a wall
 # keeps 1 to 2 % by creeping along it), and is slowed down where less than the second is (the program leaves 1e-4 of it)
 STALLED_BELOW, SCALED_BELOW = 0.02, 0.999
-# [m or rad] by which a hand may leave what holds it while the joints brake: half of what counts as straying on a way.
-# With twice as much 3 of 90 near-singular firm grips stray, by up to 3.4 mm, and 2 with this, by 2.1 mm
-_ASIDE = 1e-3
 
 
 @final
 class Desired(NamedTuple):
-    """The law at one posture before bounds, and what the program needs of it.
+    """The law at one posture before bounds, and the quantities that the program needs of it.
 
     Attributes:
-        A: Rows whose velocity is b: those of the constraint, or of the error (see `Task.error_jacobian`).
-        b: Wanted of them.
-        task: A^# b.
-        null: The policy's part in the null space of A.
+        A: Rows whose velocity is b: the rows of the constraint, or of the error (see `Task.error_jacobian`).
+        b: Desired velocity of these rows (s,), in their units per second.
+        task: A^# b (nv,) [rad/s or m/s].
+        null: The policy's part in the null space of A (nv,).
         escape: The policy's part along directions that are nearly lost; None away from singularities.
         mu: Manipulability of the constraint.
         smallest: Its smallest singular value.
         basis: Orthonormal basis of the rows that are not lost (k, nv).
         gain: Y (s, nv), so that A^# b = Y^T b.
-        is_damped: Whether a smallest singular value of the constraint below the threshold damps the law.
+        is_damped: True if the law is damped: the constraint's smallest singular value is below the threshold.
         damping: lambda of the driven rows; 0 away from singularities.
-        bend: c, by which the rows' mean velocity over the step exceeds A u; A u = b - c is wanted.
-        own: Rows of the constraint.
+        bend: c, the excess of the rows' mean velocity over the step over A u; A u = b - c is wanted.
+        rows: A(q) of the constraint.
     """
 
     A: Float[np.ndarray, "s nv"]
@@ -74,11 +69,11 @@ class Desired(NamedTuple):
     is_damped: bool = False
     damping: float = 0.0
     bend: Float[np.ndarray, " s"] | float = 0.0
-    own: Any = None
+    rows: Any = None
 
     @property
     def is_lost(self) -> bool:
-        """Whether A loses a direction: at a singularity, or with more rows than joints that b does not fit."""
+        """True if A loses a direction: at a singularity, or with more rows than joints where b is not feasible."""
         if self.A.shape[0] > self.A.shape[1]:
             return self.escape is not None and self.progress(self.task) < SCALED_BELOW
         return self.escape is not None and self.smallest <= SINGULAR_RATIO * float(np.abs(self.A).max())
@@ -89,7 +84,14 @@ class Desired(NamedTuple):
         return self.task + self.null + (0.0 if self.escape is None else self.escape)
 
     def progress(self, u: Vector) -> float:
-        """Return velocity along b over that which is asked for, b^T (A u + c) / |b|^2; 1 where nothing is asked for."""
+        """Return the fraction of the requested velocity along b that is achieved, b^T (A u + c) / |b|^2.
+
+        Args:
+            u: Joint velocity (nv,) [rad/s or m/s].
+
+        Returns:
+            The fraction; 1 where nothing is requested.
+        """
         square = float(self.b.dot(self.b))
         return float(self.b.dot(self.A.dot(u) + self.bend)) / square if square > AT_GOAL * AT_GOAL else 1.0
 
@@ -99,12 +101,12 @@ class Desired(NamedTuple):
         """Return the status of a command.
 
         Args:
-            progress: Velocity along b over the velocity asked for.
+            progress: Fraction of the requested velocity along b that is achieved.
             outside: Largest distance of a joint beyond its position limits [rad or m].
             scale: Factor on the task.
-            changed: Whether bounds change the law.
-            cause: The limit that is most in the way, POSITION, VELOCITY or ACCELERATION; -1 for a singularity.
-            fits: Whether the task part alone is within the bounds.
+            changed: True if bounds change the law.
+            cause: The limit that restricts the command most, POSITION, VELOCITY or ACCELERATION; -1 for a singularity.
+            fits: True if the task part alone is within the bounds.
         """
         if outside > 0.0:
             return Status.OUTSIDE_LIMITS
@@ -117,19 +119,24 @@ class Desired(NamedTuple):
         unchanged = Status.DAMPED if self.is_damped else Status.OK
         return unchanged if self.is_damped or not changed else Status.NULL_SCALED if fits else Status.REROUTED
 
-    def as_wished(self, u: Vector, outside: float) -> Command:
-        """Return the command u* where no bound changes it; the farthest joint is so far beyond its limit [rad or m]."""
+    def unconstrained_command(self, u: Vector, outside: float) -> Command:
+        """Return the command u* for the case that no bound changes it.
+
+        Args:
+            u: u*, with rounding clipped to the bounds (nv,) [rad/s or m/s].
+            outside: Largest distance of a joint beyond its position limits [rad or m].
+        """
         progress = 1.0 if self.escape is None else self.progress(u)
         parts, status = (self.task, self.null, 1.0, 1.0), self.status(progress, outside, changed=False)
         return Command(u, status, self.mu, self.b, *parts, self.smallest, self.escape, progress, outside)
 
-    def within(self, bounds: Bounds, wish: Vector, u: Vector, cause: int) -> Command:
-        """Return the command where bounds change the law.
+    def limited_command(self, bounds: Bounds, wish: Vector, u: Vector, cause: int) -> Command:
+        """Return the command for the case that bounds change the law.
 
         Args:
             bounds: The bounds.
-            wish: u*.
-            u: What is left of it.
+            wish: u* (nv,) [rad/s or m/s].
+            u: Velocity within the bounds (nv,) [rad/s or m/s].
             cause: The limit that counts where no joint is at a bound, -1 for a singularity.
         """
         null_part, escape = u - self.basis.dot(u).dot(self.basis), self.escape
@@ -137,7 +144,7 @@ class Desired(NamedTuple):
         if escape is not None:
             escape = escape * _share(u, escape)
             task_part = task_part - escape
-        # what rounding leaves of a policy that asks for nothing is not scaled
+        # a policy at rest has no scale: its null part is rounding only
         null_scale = _share(null_part, self.null) if float(self.null.dot(self.null)) > AT_GOAL**2 else 1.0
         progress = self.progress(u)
         before = 1.0 if self.escape is None else self.progress(self.task)
@@ -150,7 +157,7 @@ class Desired(NamedTuple):
 
 
 def _share(part: Vector, whole: Vector) -> float:
-    """Return how much of a velocity is left in another, 0 to 1."""
+    """Return the fraction of a velocity that another one contains, 0 to 1."""
     return min(1.0, max(0.0, float(part.dot(whole)) / max(float(whole.dot(whole)), 1e-300)))
 
 
@@ -159,44 +166,44 @@ def _share(part: Vector, whole: Vector) -> float:
 class Law:
     """u = A^+ b + N w, equation (2) of Manavalan and Howard, in three priorities and within limits.
 
-    The rows of A have two parts, as the task says: those that are held, and those that are driven. With P the projector
-    on the driven ones, the velocity before bounds is
+    The rows of A have two parts, which the task distinguishes: held rows and driven rows. With P the projector on the
+    driven ones, the velocity before bounds is
 
         u* = argmin |A u - b|^2_{1 / Lambda^2} + |u - w|^2 = w + A^T (A A^T + Lambda^2)^-1 (b - A w),
         Lambda^2 = share^2 lambda^2 (P + h^2 (1 - P)),    share = 1 - (sigma / threshold)^2, 0 above the threshold,
         h = 0.1.
 
     Where the smallest singular value sigma of A is above the threshold, Lambda is 0 and u* is equation (2), exactly.
-    Below it, a direction whose singular value is less than Lambda no longer holds the motion, and w moves it: that is
-    damping and the way out of the singularity in one. (The policy's part along such directions is at most 0.2 rad/s,
-    and fades towards 0.6 times the threshold: targets beyond that are reached.)
+    Below it, a direction whose singular value is less than Lambda no longer constrains the motion, and w moves it: this
+    is both the damping and the escape from the singularity. (The policy's part along such directions is at most 0.2
+    rad/s, and fades towards 0.6 times the threshold: targets beyond that are reached.)
 
     For an arm in motion b is the mean velocity of the rows over the step, so that an explicit step of dt stays on the
-    path that the task asks for: b - c takes the place of b, with the velocity v of the step before and
+    path of the task: b - c replaces b, with the velocity v of the previous step and
 
         c = (A(q + dt/2 v) - A(q)) v,    |c| <= STABLE_SLOPE sigma |v| / 2.
 
     If u* is within the bounds it is the command. If not, the part of u* that drives the task is slowed down to the
-    velocity limits, to the approach of a singularity, and until the joints can brake with the hand on what holds it
-    (see `_braking_share`): null-space motion makes no room for that. The command is the point within the bounds that is
-    nearest to what u* then is:
+    velocity limits, to the approach of a singularity, and until the joints can brake while the hand stays on its
+    constraint (see `_braking_share`): null-space motion makes no room for that. The command is the point within the
+    bounds that is nearest to the resulting u*:
 
         min  |(1 - d d^T) A (u - u*)|^2 / ACROSS^2 + |d^T A (u - u*)|^2 / ALONG^2 + |u - u*|^2
         low <= u <= high,    G u >= least
 
-    d is the unit vector of the driven part of b. So the hand first stays on what holds it and keeps its direction, then
-    keeps its speed, and then does what the policy wants: null-space motion makes room for the task before the task
-    slows down (Flacco, De Luca and Khatib, "Control of redundant robots under hard joint constraints: saturation in
-    the null space", 2015). The rows G bound the approach to a singularity and to walls. The program is strictly convex
-    and u* continuous, so that the command is; it is solved by DAQP (Arnstrom, Bemporad and Axehill, "A dual active-set
-    solver for embedded quadratic programming using recursive LDL^T updates", 2022).
+    d is the unit vector of the driven part of b. So the hand first stays on its constraint and keeps its direction,
+    then keeps its speed, and then follows the policy: null-space motion makes room for the task before the task slows
+    down (Flacco, De Luca and Khatib, "Control of redundant robots under hard joint constraints: saturation in the null
+    space", 2015). The rows G bound the approach to a singularity and to walls. The program is strictly convex and u*
+    continuous, so that the command is continuous; it is solved by DAQP (Arnstrom, Bemporad and Axehill, "A dual
+    active-set solver for embedded quadratic programming using recursive LDL^T updates", 2022).
 
     Args:
         constraint: A(q).
-        task: b(q, t), and which rows are driven.
+        task: b(q, t), and the driven rows.
         null_policy: w(q, t).
         inverse: `"damped"` as above; `"exact"` or `"truncated"`: u* has that inverse and the exact projector.
-        threshold: Singular value of A at which damping sets in.
+        threshold: Singular value of A below which damping sets in.
         damping: lambda.
     """
 
@@ -209,7 +216,7 @@ class Law:
 
     @property
     def ascends(self) -> bool:
-        """Whether the policy climbs the manipulability of these very rows."""
+        """True if the policy climbs the manipulability of these very rows."""
         policy = self.null_policy
         return isinstance(policy, ManipulabilityAscent) and policy.constraint is self.constraint
 
@@ -217,6 +224,12 @@ class Law:
 
     def desired(self, q: np.ndarray, t: float, dt: float, limits: Limits | None) -> Desired:
         """Return the law at a posture, before bounds.
+
+        Args:
+            q: Posture.
+            t: Time [s].
+            dt: Step [s].
+            limits: Limits, which decide the sense in which the arm leaves an exact singularity; None for none.
 
         Raises:
             ConfigurationError: The posture has the wrong size or is not finite, or an exact inverse overflows.
@@ -227,10 +240,11 @@ class Law:
         rows = A if E is None else E
         (s, nv), decomposition = rows.shape, svd(rows)
         U, sigma, Vt = decomposition
-        own = sigma if E is None else svd(A)[1]
-        mu, smallest, least = (math.prod(own.tolist()), float(own[-1]), float(sigma[-1])) if s <= nv else (0.0,) * 3
+        own_sigma = sigma if E is None else svd(A)[1]
+        mu = math.prod(own_sigma.tolist()) if s <= nv else 0.0
+        smallest, least = (float(own_sigma[-1]), float(sigma[-1])) if s <= nv else (0.0, 0.0)
         is_damped = self.inverse == "damped"
-        is_regular = s <= nv and all(x[-1] > LEAST_SINGULAR_RATIO * x[0] for x in (own, sigma))
+        is_regular = s <= nv and all(x[-1] > LEAST_SINGULAR_RATIO * x[0] for x in (own_sigma, sigma))
         is_regular = is_regular and not (is_damped and min(smallest, least) < self.threshold)
         if is_regular or not is_damped:
             gains = inverse_singular_values(sigma, rows.shape, "exact" if is_damped else self.inverse)
@@ -244,18 +258,20 @@ class Law:
                 raise ConfigurationError(f"{words}: {fix}")
             V = V[gains > 0.0]
             escape = None if is_regular else np.zeros(nv)
-            return Desired(rows, b, task, w - V.dot(w).dot(V), escape, mu, smallest, V, Y, own=A)
-        V = Vt[: len(sigma)][sigma > SINGULAR_RATIO * sigma[0]]  # of what is lost, rounding alone says where it was
+            return Desired(rows, b, task, w - V.dot(w).dot(V), escape, mu, smallest, V, Y, rows=A)
+        V = Vt[: len(sigma)][sigma > SINGULAR_RATIO * sigma[0]]  # rows that are not lost; the others are rounding only
         share = max(0.0, 1.0 - (least / self.threshold) ** 2)
-        # w, at SEED_SPEED at least beside a singularity (6e-4 of the threshold), where policies that climb out vanish
+        # w gets at least SEED_SPEED near a singularity (6e-4 of the threshold), where policies that climb out vanish
         speed, seed = math.sqrt(w.dot(w)), SEED_SPEED * (1.0 - smallest / (6e-4 * self.threshold))
         if 0.0 < speed < seed:
             w = w * (seed / speed)
         if self.ascends and limits is not None and smallest <= SINGULAR_RATIO:
-            w = limits.freer_sense(q, w)  # mu rises in both directions there: a limit in one is no reason to stay
+            w = limits.freer_sense(q, w)  # mu rises in both senses there: choose the one that the limits leave free
         square = self._damping(q, decomposition, b, dt)
         D = self.task.driven_rows(self.constraint)
-        Lambda2 = share * share * square * (_HELD * _HELD * unit(s) + (1.0 - _HELD * _HELD) * D.T.dot(D))
+        # h of the class: lambda of held rows over lambda of driven rows, so that the held rows are lost last
+        h = 0.1
+        Lambda2 = share * share * square * (h * h * unit(s) + (1.0 - h * h) * D.T.dot(D))
         _, Y, failed = dposv(rows.dot(rows.T) + Lambda2, rows)
         if failed:  # A = 0
             Y = np.zeros((s, nv))
@@ -266,29 +282,48 @@ class Law:
         if length > fastest:
             escape = escape * (fastest / length)
         damping = share * math.sqrt(square)
-        return Desired(rows, b, task, null, escape, mu, smallest, V, Y, smallest < self.threshold, damping, own=A)
+        return Desired(rows, b, task, null, escape, mu, smallest, V, Y, smallest < self.threshold, damping, rows=A)
 
     def bend(self, q: np.ndarray, dt: float, A: np.ndarray, u: np.ndarray) -> Float[np.ndarray, " s"]:
-        """Return c = (A(q + dt/2 u) - A(q)) u: mean velocity of the rows over a step, beyond A u, in their units."""
+        """Return c = (A(q + dt/2 u) - A(q)) u, the excess of the rows' mean velocity over a step over A u.
+
+        Args:
+            q: Posture.
+            dt: Step [s].
+            A: A(q).
+            u: Joint velocity (nv,) [rad/s or m/s].
+
+        Returns:
+            shape (s,), in the rows' units per second.
+        """
         robot, step = self.constraint.robot, 0.5 * dt * u
         plain = robot is None or (robot.positions_add_up and len(q) == len(u))
         return (self.constraint(q + step if plain or robot is None else robot.integrate(q, step)) - A).dot(u)
 
-    def _straightened(self, law: Desired, q: np.ndarray, dt: float, u: np.ndarray) -> Desired:
+    def _with_bend(self, law: Desired, q: np.ndarray, dt: float, u: np.ndarray) -> Desired:
         """Return the law with b as the mean velocity of the rows over the step, see the class.
 
-        The next u changes with the last one by at most 2 |c| / (sigma |u|) of that: the bound of c lets it settle.
+        A change of the previous u changes the next u by at most 2 |c| / (sigma |u|) times as much: the bound on |c|
+        keeps this factor at STABLE_SLOPE or less, so that u settles.
         """
         speed = math.sqrt(u.dot(u))
         if speed == 0.0:
             return law
-        c = self.bend(q, dt, law.own, u)
+        c = self.bend(q, dt, law.rows, u)
         size, most = math.sqrt(c.dot(c)), 0.5 * STABLE_SLOPE * law.smallest * speed
         c = c if size <= most else c * (most / size)
         return law._replace(task=law.task - c.dot(law.gain), bend=c)
 
     def task_velocity(self, q: np.ndarray, t: float, dt: float) -> VelocityAndJacobian:
-        """Return b for the time dt [s] that begins at t, in units per second, and E (see `Task.error_jacobian`).
+        """Return b for a step, and E (see `Task.error_jacobian`).
+
+        Args:
+            q: Posture.
+            t: Time at which the step begins [s].
+            dt: Step [s].
+
+        Returns:
+            b (s,), in the rows' units per second, and E (s, nv); None where E is A(q).
 
         Raises:
             TargetError: The task's target does not fit the constraint, or b is not finite.
@@ -298,7 +333,15 @@ class Law:
         return _checked(b, self.constraint.n_constraints, "the task's velocity b"), E
 
     def policy_velocity(self, q: np.ndarray, t: float, dt: float) -> Vector:
-        """Return w for the time dt [s] that begins at t [rad/s or m/s].
+        """Return w for a step.
+
+        Args:
+            q: Posture.
+            t: Time at which the step begins [s].
+            dt: Step [s].
+
+        Returns:
+            shape (nv,) [rad/s or m/s].
 
         Raises:
             TargetError: It has another size, or is not finite.
@@ -308,20 +351,20 @@ class Law:
     def _damping(self, q: np.ndarray, decomposition: Decomposition, b: np.ndarray, dt: float) -> float:
         """Return lambda^2, larger for a task that presses into a singularity, so that explicit steps of dt can follow.
 
-        At the singularity A^T w / lambda^2, w the part of b along what is nearly lost, has the slope
-        |d(A^T w) / dq| / lambda^2 (in the Frobenius norm), STABLE_SLOPE / dt at most. How much it presses is the cosine
-        between A^# b and the way to the singularity.
+        At the singularity A^T w / lambda^2, w the part of b along the nearly lost directions, has the slope |d(A^T w) /
+        dq| / lambda^2 (in the Frobenius norm), STABLE_SLOPE / dt at most. The measure of pressing is the cosine between
+        A^# b and the direction towards the singularity.
         """
         (U, sigma, Vt), square, nv = decomposition, self.damping**2, self.constraint.nv
-        nearly = sigma < self.threshold
-        if len(U) > nv:  # rows beyond the number of joints: rounding alone says which of them zeros belong to
-            nearly &= sigma > SINGULAR_RATIO * sigma[0]
-        lost = U[:, : len(sigma)][:, nearly]
+        is_small = sigma < self.threshold
+        if len(U) > nv:  # more rows than joints: the singular vectors of zero singular values are rounding only
+            is_small &= sigma > SINGULAR_RATIO * sigma[0]
+        lost = U[:, : len(sigma)][:, is_small]
         pressed = lost.dot(b.dot(lost))
         if not pressed.any():
             return square
         rates = self.constraint.value_and_vjp(q)[1]
-        pressing = 1.0  # at the singularity itself, where nothing says whether the task leads into it or out of it
+        pressing = 1.0  # at the singularity itself, where the sense of the task relative to it is unknown
         if sigma[-1] > SINGULAR_RATIO * sigma[0]:
             slope = smallest_gradient(decomposition, rates)
             task = (b.dot(U)[: len(sigma)] * sigma / (sigma * sigma + square)).dot(Vt[: len(sigma)])
@@ -338,30 +381,39 @@ class Law:
     def command(
         self, q: np.ndarray, t: float, dt: float, limits: Limits | None, previous: Vector | None, slide: float
     ) -> Command:
-        """Return the command at a posture; arguments and errors as for `ResolvedRateController`."""
+        """Return the command at a posture; errors as for `ResolvedRateController`.
+
+        Args:
+            q: Posture, already checked.
+            t: Time [s].
+            dt: Step [s].
+            limits: Limits; None returns the law before bounds.
+            previous: Velocity of the previous step (nv,) [rad/s or m/s]; None bounds no acceleration.
+            slide: Share of the task's direction that is given up, 0 to 1 (see `next_slide`).
+        """
         law = self.desired(q, t, dt, limits)
         if limits is None:
-            return law.as_wished(law.velocity, 0.0)
+            return law.unconstrained_command(law.velocity, 0.0)
         if previous is not None:
-            law = self._straightened(law, q, dt, previous)
+            law = self._with_bend(law, q, dt, previous)
         wish, bounds = law.velocity, limits.bounds(q, dt, previous)
         barriers, barrier = limits.barriers.at(q, dt, limits.acceleration, previous), self._approach(q, dt, law, limits)
         broken, D = barriers.broken(wish), self.task.driven_rows(self.constraint)
         fits, cause = broken is None and bounds.excess(wish) <= FINE, -1 if broken is None else broken[1]
         fits = fits and (barrier is None or float(barrier[0][0].dot(wish)) >= barrier[1][0])
-        rest, drive = _slowed_drive(law, D, limits, barrier)
+        rest, drive = _limit_drive(law, D, limits, barrier)
         if previous is not None and 0 < len(D) < len(law.b):
             share = self._braking_share(law, q, D, rest + drive, previous, limits)
             if share < 1.0:
                 fits, cause, drive = False, ACCELERATION if cause < 0 else cause, share * drive
         if fits:
-            return law.as_wished(bounds.nearest(wish), bounds.outside)
+            return law.unconstrained_command(bounds.nearest(wish), bounds.outside)
         slowed, W = rest + drive, self._metric(law, D, dt, slide)
         u = barriers.solution(slowed, barrier, lambda rows: nearest_within(slowed, W, bounds, rows))
-        return law.within(bounds, wish, u, cause)
+        return law.limited_command(bounds, wish, u, cause)
 
     def _metric(self, law: Desired, D: np.ndarray, dt: float, slide: float) -> Float[np.ndarray, "s nv"]:
-        """W of the program min |W (u - u*)|^2 + |u - u*|^2, see the class.
+        """Return W of the program min |W (u - u*)|^2 + |u - u*|^2, see the class.
 
         With `slide` the task's direction gives way as its speed does, damped as u* is near a singularity, so that
         explicit steps of dt can follow.
@@ -385,27 +437,30 @@ class Law:
     def _braking_share(
         self, law: Desired, q: Posture, D: Float[np.ndarray, "d s"], wish: Vector, previous: Vector, limits: Limits
     ) -> float:
-        """Return the share of its speed at which the task is driven, so that a hand that brakes stays where it is held.
+        """Return the share of its speed at which the task is driven, so that a braking hand stays on its constraint.
 
-        All joints that brake together, each as hard as it can beside the slowest, move straight on by T u / 2,
-        T = max_j |u_j| / a_j, while the rows that are held turn away by
+        If all joints brake together, in the time that the slowest needs with its full acceleration, they move straight
+        on by T u / 2, T = max_j |u_j| / a_j, while the held rows turn away by
 
-            e(u) = |(1 - P) dA[u] u| T^2 / 8,    P the projector on the rows that are driven.
+            e(u) = |(1 - P) dA[u] u| T^2 / 8,    P the projector on the driven rows.
 
-        Where the curve that holds the hand turns faster than the joints can, as while a wrist turns over, the hand
-        would leave it. With the share e(u*), of power 4 in the speed, is at most _ASIDE; and where the motion that
-        there is exceeds it, the task waits in proportion. |dA[u] u| is at most about |A| |u| sum_j |u_j|.
+        If the curve of the constraint turns faster than the joints can, as while a wrist flips, the hand would leave
+        it. With the share, e(u*), which grows with the fourth power of the speed, is at most `most`; and where the
+        present motion exceeds that, the task slows down in proportion. |dA[u] u| is at most about |A| |u| sum_j |u_j|.
         """
+        # [m or rad] largest deviation from the constraint while the joints brake, half of the deviation that counts as
+        # straying. With twice as much 3 of 90 near-singular firm grips stray, by up to 3.4 mm; with this 2, by 2.1 mm
+        most = 1e-3
         square, size = max(float(u.dot(u)) for u in (law.velocity, previous)), float((law.A * law.A).sum())
-        if math.sqrt(law.A.shape[1] * size) * square * square <= 8.0 * _ASIDE * float(limits.acceleration.min()) ** 2:
+        if math.sqrt(law.A.shape[1] * size) * square * square <= 8.0 * most * float(limits.acceleration.min()) ** 2:
             return 1.0
         (_, vjp), share = self.constraint.value_and_vjp(q), 1.0
         for u, power in ((wish, 0.25), (previous, 1.0)):
             bend = np.array([vjp(np.outer(e, u)) for e in unit(len(law.A))]).dot(u)
             bend = bend - D.T.dot(D.dot(bend))
-            aside = 0.125 * limits.stopping_time(u) ** 2 * math.sqrt(bend.dot(bend))
-            if aside > _ASIDE:
-                share = min(share, (_ASIDE / aside) ** power)
+            deviation = 0.125 * limits.stopping_time(u) ** 2 * math.sqrt(bend.dot(bend))
+            if deviation > most:
+                share = min(share, (most / deviation) ** power)
         return share
 
     def _approach(self, q: np.ndarray, dt: float, law: Desired, limits: Limits) -> Barrier | None:
@@ -415,24 +470,25 @@ class Law:
         u, flat = law.velocity, law.A.reshape(-1)
         if not limits.may_approach(float(u.dot(u)), float(flat.dot(flat)), law.smallest, dt):
             return None
-        A, vjp = self.constraint.value_and_vjp(q)  # the rows of the law may be those of an error
+        A, vjp = self.constraint.value_and_vjp(q)  # the rows of the law may be rows of an error
         slope = smallest_gradient(svd(A), vjp)
         bound = approach_bound(law.smallest, slope, limits.acceleration, dt)
         return (slope[None], np.array([-bound])) if bound < math.inf else None
 
 
-def _slowed_drive(law: Desired, D: np.ndarray, limits: Limits, barrier: Barrier | None) -> tuple[Vector, Vector]:
-    """Return the rest of u*, and its part that drives the task, slowed down to velocities and a singularity's approach.
+def _limit_drive(law: Desired, D: np.ndarray, limits: Limits, barrier: Barrier | None) -> tuple[Vector, Vector]:
+    """Return the rest of u*, and its part that drives the task, scaled to the velocity limits and the singularity's
+    barrier.
 
-    Motion in the null space makes no room for more. D are the rows that are driven.
+    Null-space motion makes no room for more. D are the driven rows.
     """
     wish = law.velocity
     drive = (law.b if len(D) == len(law.b) else D.T.dot(D.dot(law.b))).dot(law.gain)
     rest, fastest = wish - drive, float((np.abs(drive) / limits.velocity).max())
-    if fastest > 1.0:  # as far as what else moves leaves no room for it
+    if fastest > 1.0:  # a joint that the rest moves the other way has more room than its limit
         moved = np.abs(drive) > _ROUNDING
-        left = (limits.velocity - np.sign(drive) * rest)[moved] / np.abs(drive)[moved]
-        drive = drive * min(1.0, max(1.0 / fastest, float(left.min())))
+        factors = (limits.velocity - np.sign(drive) * rest)[moved] / np.abs(drive)[moved]
+        drive = drive * min(1.0, max(1.0 / fastest, float(factors.min())))
     if barrier is not None:
         slope, least = barrier[0][0], float(barrier[1][0])
         toward = -float(slope.dot(drive))
@@ -442,12 +498,16 @@ def _slowed_drive(law: Desired, D: np.ndarray, limits: Limits, barrier: Barrier 
 
 
 def nearest_within(wish: Vector, W: Float[np.ndarray, "s nv"], bounds: Bounds, barrier: Barrier | None) -> Vector:
-    """Return argmin |W (u - wish)|^2 + |u - wish|^2 within bounds, and with G u >= least where these allow that.
+    """Return argmin |W (u - wish)|^2 + |u - wish|^2 within bounds, and with G u >= least if the bounds allow it.
 
-    With R^T R = 1 + W^T W it is solved for z = R (u - wish): the metric itself, whose condition is the square of that
-    of R, would cost eight digits.
+    With R^T R = 1 + W^T W the program is solved for z = R (u - wish): using the metric itself, whose condition number
+    is the square of R's, would cost eight digits. The bounds have precedence over the barrier.
 
-    The bounds have precedence over the barrier.
+    Args:
+        wish: Desired velocity (nv,) [rad/s or m/s].
+        W: Weighted rows (s, nv); s may be 0.
+        bounds: Bounds on u.
+        barrier: Rows G u >= least; None for none.
     """
     nv = len(wish)
     one, zeros, _ = _constants(nv, nv)
@@ -460,8 +520,8 @@ def nearest_within(wish: Vector, W: Float[np.ndarray, "s nv"], bounds: Bounds, b
             least = np.concatenate((least, barred[1] - barred[0].dot(wish)))
             most = np.concatenate((most, np.full(len(barred[0]), np.inf)))
         sense = _constants(nv, len(most))[2]
-        # rows that do not depend on each other are 1e-8 apart at the least of the metric (the tolerance is of a squared
-        # sine): with DAQP's own, walls were given up that the bounds leave room for
+        # independent rows differ by at least 1e-8 in this metric, and the tolerance is for a squared sine: with DAQP's
+        # default it dropped walls that were feasible within the bounds
         z, _, flag, _ = daqp.solve(one, zeros, rows, most, least, sense, primal_tol=FINE, sing_tol=1e-14)
         if flag == 1:
             u = wish + inverse.dot(z)
@@ -473,20 +533,25 @@ def nearest_within(wish: Vector, W: Float[np.ndarray, "s nv"], bounds: Bounds, b
 
 @cache
 def _constants(nv: int, rows: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Identity, zeros and inequalities for DAQP, which takes no array that may not be written to."""
+    """Return identity, zeros and inequalities for DAQP, which takes no read-only array."""
     return np.eye(nv), np.zeros(nv), np.zeros(rows, dtype=np.int32)
 
 
 def next_slide(slide: float, command: Command, dt: float) -> float:
-    """Return `slide` after a command that was held for dt [s]: it grows while limits keep the task from going on.
+    """Return the next `slide` of a command: it grows while limits keep the task from continuing.
 
-    A task that is slowed down to half of its speed gives up a tenth of its direction in 0.1 s; one that stalls all of
-    it in 0.25 s, for out of reach the joints would turn to and fro. Once it goes on, at 90 % of its speed, the
-    direction is kept again in a second. A task that asks for less than 2 mm/s has all but arrived: the policy must not
-    lead the hand off.
+    A task that is slowed down to half of its speed gives up a tenth of its direction in 0.1 s; one that stalls gives up
+    all of it in 0.25 s, because out of reach the joints would oscillate. Once the task continues, at 90 % of its speed,
+    the direction is restored within a second. A task that requests less than 2 mm/s has almost arrived: then the policy
+    must not move the hand away.
+
+    Args:
+        slide: Present value, 0 to 1.
+        command: The newest command.
+        dt: Time for which the command is held [s].
     """
-    asked, some = math.sqrt(command.task_velocity.dot(command.task_velocity)), 0.1
-    if asked <= 2e-3 or command.progress > 0.9:
+    requested, some = math.sqrt(command.task_velocity.dot(command.task_velocity)), 0.1
+    if requested <= 2e-3 or command.progress > 0.9:
         return max(0.0, slide - max(some, slide) * dt)
     is_slowed = command.status in (Status.SINGULAR, Status.STALLED, Status.POSITION_LIMITED)
     if slide < some and command.progress < 0.5 and is_slowed:

@@ -1,4 +1,4 @@
-"""Limits of joints: how fast each may move, and approach its position limits."""
+"""Limits of joints: position, velocity, acceleration, jerk, and the braking distance before a position limit."""
 
 from __future__ import annotations
 
@@ -11,7 +11,8 @@ import numpy as np
 from jaxtyping import Int
 from numpy.typing import ArrayLike
 
-from manip_learn.control.barriers import APPROACH_RATE, BRAKING_SHARE, CLEARANCE, Barriers, KeptClear, Standing
+from manip_learn.control import barriers
+from manip_learn.control.barriers import APPROACH_RATE, BRAKING_SHARE, CLEARANCE, Barriers, Obstacles
 from manip_learn.control.command import ACCELERATION, POSITION, VELOCITY, Posture, Vector
 from manip_learn.errors import ConfigurationError, TargetError
 from manip_learn.robot.collision import SelfCollision
@@ -19,21 +20,36 @@ from manip_learn.robot.robot import Robot
 
 RETURN_SPEED = 0.25  # share of the velocity limit at which a joint that starts outside its position limits returns
 OUTSIDE = 1e-9  # [rad or m] a joint is outside when it is more than this beyond a position limit
-FINE = 1e-13  # [rad/s or m/s] by how much rounding makes a velocity exceed a bound, as that of a joint at its limit
+FINE = 1e-13  # [rad/s or m/s] excess of a velocity over a bound due to rounding, e.g. of a joint at its limit
 
 
 def stopping_speed(distance: Vector, acceleration: Vector, dt: float) -> Vector:
     """Return the speed now with which a joint covers a distance to rest in the fewest steps of dt.
 
-    At unit acceleration the steps x, x - 1, x - 2, ... > 0 [dt^2] are as long together as the way that is left.
+    At unit acceleration the steps x, x - 1, x - 2, ... > 0 [dt^2] add up to the remaining distance.
+
+    Args:
+        distance: Remaining distances (nv,), at least 0 [rad or m].
+        acceleration: Acceleration limits (nv,) [rad/s2 or m/s2].
+        dt: Step [s].
+
+    Returns:
+        The speeds (nv,) [rad/s or m/s].
     """
-    left = distance / (acceleration * dt * dt)
-    n = np.floor(0.5 * (np.sqrt(1.0 + 8.0 * left) - 1.0))
-    return acceleration * dt * (left + 0.5 * n * (n + 1.0)) / (n + 1.0)
+    distances = distance / (acceleration * dt * dt)
+    n = np.floor(0.5 * (np.sqrt(1.0 + 8.0 * distances) - 1.0))
+    return acceleration * dt * (distances + 0.5 * n * (n + 1.0)) / (n + 1.0)
 
 
 def farthest_positions(robot: Robot) -> Vector | float:
-    """Return positions that no joint is at, however its encoder counts: a turn beyond the farther limit [rad or m]."""
+    """Return magnitudes that no joint position reaches, whatever turn its encoder counts.
+
+    Args:
+        robot: The robot.
+
+    Returns:
+        A turn beyond the farther limit of each joint (nv,) [rad or m]; 1e6 where a limit is infinite or nq is not nv.
+    """
     farthest = np.maximum(np.abs(robot.position_lower), np.abs(robot.position_upper)) + 2.0 * math.pi
     return farthest if robot.nq == robot.nv and bool(np.all(np.isfinite(farthest))) else 1e6
 
@@ -41,8 +57,12 @@ def farthest_positions(robot: Robot) -> Vector | float:
 def check_inside(robot: Robot, positions: Vector) -> None:
     """Refuse a start outside the position limits.
 
+    Args:
+        robot: The robot.
+        positions: Joint positions (nv,) [rad or m].
+
     Raises:
-        TargetError: Names the first joint that is.
+        TargetError: A joint is outside; the first one is named.
     """
     outside = (positions < robot.position_lower - OUTSIDE) | (positions > robot.position_upper + OUTSIDE)
     if np.any(outside):
@@ -72,25 +92,40 @@ class Bounds(NamedTuple):
     outside: float
 
     def admit(self, velocity: Vector) -> bool:
-        """Return whether a velocity is within the bounds."""
+        """Return True if a velocity is within the bounds.
+
+        Args:
+            velocity: shape (nv,) [rad/s or m/s].
+        """
         return self.excess(velocity) <= 0.0
 
     def excess(self, velocity: Vector) -> float:
-        """Return by how much a velocity exceeds the bounds [rad/s or m/s]; negative within them."""
+        """Return the largest excess of a velocity over the bounds [rad/s or m/s]; negative within them.
+
+        Args:
+            velocity: shape (nv,) [rad/s or m/s].
+        """
         return float(np.maximum(velocity - self.high, self.low - velocity).max(initial=-math.inf))
 
     def nearest(self, velocity: Vector) -> Vector:
-        """Return the velocity within the bounds that is nearest to one, each joint by itself."""
+        """Return the nearest velocity within the bounds, each joint by itself.
+
+        Args:
+            velocity: shape (nv,) [rad/s or m/s].
+        """
         return np.minimum(np.maximum(velocity, self.low), self.high)
 
     def binding(self, velocity: Vector, desired: Vector) -> tuple[int, int]:
-        """Return the joint at a bound whose desired velocity exceeds it most, and which limit it is; (-1, -1) if none.
+        """Return the joint at a bound whose desired velocity exceeds it most, and the kind of limit.
 
         Args:
-            velocity: shape (nv,), within the bounds.
-            desired: shape (nv,), what was wished for.
+            velocity: shape (nv,), within the bounds [rad/s or m/s].
+            desired: shape (nv,), velocity without the bounds [rad/s or m/s].
+
+        Returns:
+            Number of the joint, and POSITION, VELOCITY or ACCELERATION; (-1, -1) if there is no such joint.
         """
-        room = 1e-7 * (1.0 + np.abs(velocity))  # within which a velocity counts as being at a bound
+        room = 1e-7 * (1.0 + np.abs(velocity))  # largest distance of a velocity that counts as being at a bound
         above = np.where(velocity >= self.high - room, desired - self.high, 0.0)
         over = np.maximum(above, np.where(velocity <= self.low + room, self.low - desired, 0.0))
         j = int(over.argmax())
@@ -99,9 +134,14 @@ class Bounds(NamedTuple):
         return j, int((self.high_cause if above[j] > FINE else self.low_cause)[j])
 
     def after(self, previous: Vector, change: Vector) -> Bounds:
-        """Return these bounds, narrowed to velocities that differ from the one before by at most a change.
+        """Return these bounds, narrowed to velocities near the previous one.
 
-        Where none of them is, the change has precedence: a joint that is too fast, or too far, brakes as it can.
+        If no velocity within these bounds is near enough, the change has precedence: a joint that is too fast, or too
+        far, brakes as hard as the change allows.
+
+        Args:
+            previous: Velocity of the previous step (nv,) [rad/s or m/s].
+            change: Largest change per joint (nv,) [rad/s or m/s].
         """
         slowest, fastest = previous - change, previous + change
         low, high = np.maximum(self.low, slowest), np.minimum(self.high, fastest)
@@ -114,9 +154,9 @@ class Bounds(NamedTuple):
 
 @final
 class Limits:
-    """Position limits with the distance that braking takes, velocity, acceleration and jerk.
+    """Position limits with the braking distance, velocity, acceleration and jerk limits.
 
-    The next velocity u of a joint at distance d from its upper position limit, with u' commanded in the step before:
+    The next velocity u of a joint at distance d from its upper position limit, with u' commanded in the previous step:
 
         u <= min(velocity, brake(d), u' + a dt),    brake(d): the fastest from which the joint stops at the limit
 
@@ -126,8 +166,8 @@ class Limits:
 
     with d0 and d1 such that value and slope are continuous: a joint at its limit is approached exponentially. It is at
     most d / T, with the time T = max_j |u'_j| / a_j in which all joints can stop: a slow joint that stopped sooner than
-    the fast ones that move with it would take the hand off its way. Bounds of this kind can always be met in the step
-    that follows (Del Prete, "Joint position and velocity bounds in discrete-time acceleration/torque control of robot
+    the fast ones that move with it would take the hand off its path. Bounds of this kind can always be met in the next
+    step (Del Prete, "Joint position and velocity bounds in discrete-time acceleration/torque control of robot
     manipulators", 2018). Where they cannot, because the motion started too fast or outside, the acceleration limit has
     precedence. A joint outside returns.
 
@@ -139,18 +179,18 @@ class Limits:
         jerk: shape (nv,) or a number [rad/s3 or m/s3]; None for none. A `ServoLoop` keeps it.
         position: False ignores the position limits.
         margin: Distance to keep from the position limits [rad or m].
-        tip_speed: Largest speed of the frames' origins [m/s], e.g. 0.25 beside people; None for none. Rows of the same
+        tip_speed: Largest speed of the frames' origins [m/s], e.g. 0.25 near people; None for none. Rows of the same
             program (see `Barriers`).
         tip_box: shape (2, 3), lowest and highest x, y, z of the frames' origins in the base frame [m], -inf and inf
             where there is none; None for no box.
         tip_walls: shape (w, 4), rows (n, d): the frames' origins p stay where n^T p <= d [m]; None for no walls.
         frames: Name or names of these frames; by default the robot's likeliest tip.
-        clear_of: What the links keep clear of, rows of the same program (see `KeptClear`): a `Scene`, and their own
-            pairs; or the pairs of a `SelfCollision`. None for nothing.
+        clear_of: Obstacles that the links avoid, rows of the same program: a `Scene`, with the pairs of the robot's own
+            links; or the pairs of a `SelfCollision`. None for none.
         clearance: Distance that they keep [m]. Pairs that are nearer may part, and come no nearer.
 
     Attributes:
-        barriers: What frames and links may not do.
+        barriers: Barriers for frames and links.
         velocity: shape (nv,) [rad/s or m/s].
         acceleration: shape (nv,) [rad/s2 or m/s2].
         jerk: shape (nv,) [rad/s3 or m/s3], or None.
@@ -175,7 +215,7 @@ class Limits:
         tip_box: ArrayLike | None = None,
         tip_walls: ArrayLike | None = None,
         frames: str | Sequence[str] | None = None,
-        clear_of: SelfCollision | Standing | None = None,
+        clear_of: SelfCollision | Obstacles | None = None,
         clearance: float = CLEARANCE,
     ):
         self.robot = robot
@@ -188,7 +228,7 @@ class Limits:
         self.jerk = None if jerk is None else per_joint("jerk limit", jerk, names)
         if not (math.isfinite(margin) and margin >= 0.0):
             raise ConfigurationError(f"margin must be a distance of at least 0, got {margin!r}")
-        clear = None if clear_of is None else KeptClear(robot, clear_of, clearance)
+        clear = None if clear_of is None else barriers.CollisionAvoidance(robot, clear_of, clearance)
         self.barriers = Barriers(robot, tip_speed, tip_box, tip_walls, frames, clear)
         infinite = np.full(robot.nv, np.inf)
         self.lower = robot.position_lower + margin if position else -infinite
@@ -207,24 +247,24 @@ class Limits:
         """Return the bounds on the velocity of the next step.
 
         Args:
-            q: Posture, checked already.
+            q: Posture, already checked.
             dt: Step [s].
-            previous: Velocity that was commanded in the step before [rad/s or m/s]; without one no acceleration is
-                bounded.
-            share: Of the acceleration limits, with which a joint brakes before its position limits.
+            previous: Velocity that was commanded in the previous step (nv,) [rad/s or m/s]; None bounds no
+                acceleration.
+            share: Share of the acceleration limits with which a joint brakes before its position limits.
         """
         x = q if q.shape[0] == self.robot.nv else self.robot.positions(q)
-        left = np.stack((x - self.lower, self.upper - x))  # above the lower limits, and below the upper ones
-        fastest = self._braking_speed(left, dt, 0.0 if previous is None else self.stopping_time(previous), share)
+        distances = np.stack((x - self.lower, self.upper - x))  # above the lower limits, and below the upper ones
+        fastest = self._braking_speed(distances, dt, 0.0 if previous is None else self.stopping_time(previous), share)
         cause = np.where(fastest < self.velocity, POSITION, VELOCITY)
         low, high = np.minimum(fastest, self.velocity)
-        outside = -float(left.min(initial=0.0))
+        outside = -float(distances.min(initial=0.0))
         bounds = Bounds(-low, high, cause[0], cause[1], outside if outside > OUTSIDE else 0.0)
         return bounds if previous is None else bounds.after(previous, self.acceleration * dt)
 
     def _braking_speed(self, distance: np.ndarray, dt: float, together: float, share: float) -> np.ndarray:
         """Return brake(d), at most d / T; negative outside, where a joint returns."""
-        # a joint without a limit has one that is never met: braking distances stay finite
+        # a joint without an acceleration limit gets a huge one, so that braking distances stay finite
         a, rate = share * BRAKING_SHARE * np.minimum(self.acceleration, 1e12), min(APPROACH_RATE, 0.5 / dt)
         joined = a / rate - 0.5 * a * dt  # speed at d1
         linear = joined / rate
@@ -235,14 +275,24 @@ class Limits:
         return np.where(distance > 0.0, np.minimum(speed, distance / max(together, 1e-300)), speed)
 
     def stopping_time(self, velocity: Vector) -> float:
-        """Return T = max_j |u_j| / a_j, in which all joints can stop from a velocity u [s]."""
+        """Return the time in which all joints can stop, T = max_j |u_j| / a_j [s].
+
+        Args:
+            velocity: u, shape (nv,) [rad/s or m/s].
+        """
         return float((np.abs(velocity) / self.acceleration).max())
 
     def towards(self, wish: Vector, previous: Vector, bounds: Bounds, dt: float) -> Vector:
-        """Return the velocity within bounds that leads to a wish, or to what velocity limits leave of its direction.
+        """Return the velocity within bounds that leads to a desired one, scaled down to the velocity limits.
 
-        On the straight way from `previous`, as far as the acceleration limits go; then each joint is kept from
-        its position limits by itself, so that a joint that is stopped there stops no other.
+        It lies on the straight line from `previous`, as far as the acceleration limits go; then each joint is clipped
+        to its own bounds, so that a joint that stops at its position limit stops no other.
+
+        Args:
+            wish: Desired velocity (nv,) [rad/s or m/s].
+            previous: Velocity of the previous step (nv,) [rad/s or m/s].
+            bounds: Bounds of the next step.
+            dt: Step [s].
         """
         slowed = wish / float(np.max(np.abs(wish) / self.velocity, initial=1.0))
         change = slowed - previous
@@ -250,7 +300,11 @@ class Limits:
         return np.clip(previous + change / longest, bounds.low, bounds.high)
 
     def with_rates(self, acceleration: ArrayLike | None, jerk: ArrayLike | None) -> Limits:
-        """Return these limits with other accelerations and jerks; None keeps those there are.
+        """Return these limits with other accelerations and jerks.
+
+        Args:
+            acceleration: shape (nv,) or a number [rad/s2 or m/s2]; None keeps the present limits.
+            jerk: shape (nv,) or a number [rad/s3 or m/s3]; None keeps the present limits.
 
         Raises:
             ConfigurationError: A limit that is not positive or has the wrong size.
@@ -266,7 +320,7 @@ class Limits:
 
         Args:
             speed: Of the frames' origins [m/s]; the lower one counts where these limits have one already.
-            frames: Names, beside those of these limits, whose box and walls then hold for all of them.
+            frames: Names of further frames; the box and the walls of these limits then hold for all of them.
 
         Returns:
             Limits of the same robot.
@@ -275,16 +329,16 @@ class Limits:
             ConfigurationError: A speed that is not a positive number.
             UnknownNameError: No such frame.
         """
-        other, own = copy.copy(self), self.barriers
-        names = tuple(dict.fromkeys([*(frame.name for frame in own.frames), *frames]))
-        other.barriers = Barriers(self.robot, speed, None, own.walls, names, own.clear)
-        other.barriers.speed = min(other.barriers.speed, own.speed)
+        other, present = copy.copy(self), self.barriers
+        names = tuple(dict.fromkeys([*(frame.name for frame in present.frames), *frames]))
+        other.barriers = Barriers(self.robot, speed, None, present.walls, names, present.clear)
+        other.barriers.speed = min(other.barriers.speed, present.speed)
         return other
 
     def may_approach(self, square: float, size: float, smallest: float, dt: float) -> bool:
-        """Return whether a velocity may approach a singularity too fast, so that a closer look is due.
+        """Return True if a velocity may approach a singularity too fast, so that the exact check is necessary.
 
-        |grad sigma| is about as large as A itself.
+        It is a cheap estimate: |grad sigma| is about as large as A itself.
 
         Args:
             square: |u|^2.
@@ -298,7 +352,12 @@ class Limits:
         )
 
     def freer_sense(self, q: Posture, direction: Vector) -> Vector:
-        """Return a direction, or its opposite where position limits leave that more room."""
+        """Return a direction, or its opposite where position limits leave more room in that sense.
+
+        Args:
+            q: Posture.
+            direction: Direction of joint motion (nv,), of any length.
+        """
         x = q if q.shape[0] == self.robot.nv else self.robot.positions(q)
         fastest = float(np.max(np.abs(direction), initial=0.0))
         moves = np.abs(direction) > 1e-3 * fastest
@@ -306,7 +365,7 @@ class Limits:
         ahead, behind = (
             np.min(np.where(d > 0.0, *ways) / np.abs(d), initial=np.inf) for ways in ((up, down), (down, up))
         )
-        # the joints need 0.1 rad or m for leaving a singularity
+        # the joints need 0.1 rad or m to leave a singularity
         return direction if fastest == 0.0 or ahead >= min(behind, 0.1 / fastest) else -direction
 
 
@@ -314,9 +373,9 @@ def per_joint(what: str, values: ArrayLike, names: tuple[str, ...]) -> Vector:
     """Return one positive number for each joint.
 
     Args:
-        what: They are, in words.
+        what: Name of the quantity, for the error message.
         values: shape (nv,) or a number.
-        names: Of the joints.
+        names: Names of the joints.
 
     Returns:
         shape (nv,), not writable.

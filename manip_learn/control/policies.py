@@ -1,4 +1,4 @@
-"""Null-space policies: the motion that the redundant degrees of freedom should make."""
+"""Null-space policies: the desired motion of the redundant degrees of freedom."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ from manip_learn.robot.limit_potential import has_range, joint_range_margin, ran
 from manip_learn.robot.robot import Robot
 from manip_learn.robot.rotations import rotation_vector
 
-ASCENT_GAIN = 3.0  # [rad^2/s] default: the highest manipulability of the gains that were compared (docs/control.md)
-SEED_SPEED = 5e-4  # [rad/s] speed at which an exact singularity is left, where no sense is better than its opposite
-# by how many times its distance from a singularity one step may carry the arm away from it: nothing lies there that a
-# step could go beyond. Of 61 exactly singular starts of five arms, holding still, 0.25 leaves 61, 56 and 42 within a
-# second at 1, 10 and 20 ms, 1 leaves 61, 61 and 58, 1.25 and more leave all; from 1.5 on arms that are pressed against
-# a singularity turn to and fro now and then
+ASCENT_GAIN = 3.0  # [rad^2/s] default: the highest manipulability of the gains that were compared
+SEED_SPEED = 5e-4  # [rad/s] speed at an exact singularity, which the policy may leave in either sense
+# largest growth of the distance to the singularity in one step (ratio): a step away from it cannot overshoot anything.
+# Of 61 exactly singular starts of five arms that hold still, 0.25 leaves 61, 56 and 42 within a second at 1, 10 and
+# 20 ms, 1 leaves 61, 61 and 58, 1.25 and more leave all; from 1.5 on, arms that are pressed against a singularity
+# oscillate now and then
 GROWTH = 1.25
 Decomposition = tuple[Float[np.ndarray, "s s"], Float[np.ndarray, " k"], Float[np.ndarray, "n n"]]
 
@@ -37,7 +37,7 @@ Decomposition = tuple[Float[np.ndarray, "s s"], Float[np.ndarray, " k"], Float[n
 class NullSpacePolicy(ABC):
     """pi(q, t) of equation (2), u = A^+ b + N pi: a desired joint velocity.
 
-    The controller projects it; a policy does not know the projector.
+    The controller projects it onto the null space; a policy does not know the projector.
     """
 
     @abstractmethod
@@ -45,25 +45,43 @@ class NullSpacePolicy(ABC):
         """Return the desired joint velocity [rad/s or m/s] at posture q and time t [s]."""
 
     def over_step(self, q: ArrayLike, t: float, dt: float) -> Vector:
-        """Return the velocity that is held for dt [s]."""
+        """Return the velocity for a step; by default the velocity at its beginning.
+
+        Args:
+            q: Posture.
+            t: Time at which the step begins [s].
+            dt: Length of the step, for which the velocity is held [s].
+
+        Returns:
+            shape (nv,) [rad/s or m/s].
+        """
         return self(q, t)
 
 
 class SampledPolicy(NullSpacePolicy):
-    """A policy that takes into account for how long its velocity is held, so that explicit steps can follow it."""
+    """A policy that takes the length of its step into account, so that explicit steps can follow it."""
 
     @abstractmethod
     def __call__(self, q: ArrayLike, t: float = 0.0, dt: float = 0.01) -> Vector:
         """Return the desired joint velocity [rad/s or m/s] at posture q and time t [s], held for dt [s]."""
 
     def over_step(self, q: ArrayLike, t: float, dt: float) -> Vector:
-        """Return the velocity that is held for dt [s]."""
+        """Return the velocity for a step.
+
+        Args:
+            q: Posture.
+            t: Time at which the step begins [s].
+            dt: Length of the step, for which the velocity is held [s].
+
+        Returns:
+            shape (nv,) [rad/s or m/s].
+        """
         return self(q, t, dt)
 
 
 @final
 class ZeroPolicy(NullSpacePolicy):
-    """pi = 0: the plain pseudo-inverse, equation (2) with its second term left out.
+    """pi = 0: the plain pseudo-inverse, equation (2) without its second term.
 
     Args:
         nv: Number of velocities.
@@ -74,7 +92,7 @@ class ZeroPolicy(NullSpacePolicy):
         self._zero.setflags(write=False)
 
     def __call__(self, q: ArrayLike, t: float = 0.0) -> Vector:
-        """Zeros, shape (nv,)."""
+        """Return zeros, shape (nv,)."""
         return self._zero
 
     def __repr__(self) -> str:
@@ -115,7 +133,7 @@ class JointAttractor(NullSpacePolicy):
         self.robot = robot
 
     def __call__(self, q: ArrayLike, t: float = 0.0) -> Vector:
-        """gain * (rest - q) [rad/s or m/s].
+        """Return gain * (rest - q) [rad/s or m/s].
 
         Raises:
             TargetError: q and the rest posture have different sizes.
@@ -133,17 +151,17 @@ class JointAttractor(NullSpacePolicy):
 class JointLimitAvoidance(NullSpacePolicy):
     """Gradient descent of the joint-limit potential h of `limit_potential`, with a bounded speed.
 
-    With x_j in -1 ... 1 the place of joint j in its range u_j - l_j, h = sum_j 1 / (1 - x_j^2) and
+    With x_j in -1 ... 1 the normalised position of joint j in its range u_j - l_j, h = sum_j 1 / (1 - x_j^2) and
 
         p_j = gain ((u_j - l_j) / 2)^2 dh / dq_j = gain (u_j - l_j) x_j / (1 - x_j^2)^2
         pi_j = -p_j / sqrt(1 + (p_j / v_j)^2)
 
-    The descent is that of h in the coordinates x, so that joints of different ranges and units return to the middle at
-    the same rate, 2 gain. The speed is v_j at a limit and outside; in between it is smooth. Joints that are not limited
-    on both sides are left out.
+    The gradient of h is taken in the coordinates x, so that joints of different ranges and units return to the middle
+    at the same rate, 2 gain. The speed is v_j at a limit and outside; in between it is smooth. Joints that are not
+    limited on both sides are left out.
 
     Args:
-        robot: Whose limits are avoided.
+        robot: Robot whose limits are avoided.
         gain: Rate [1/s].
         max_speed: v_j, the largest speed of a joint [rad/s or m/s], and at most half its range a second.
 
@@ -165,14 +183,14 @@ class JointLimitAvoidance(NullSpacePolicy):
         self.numbers = self._strength, self._middle, self._per_half, self._longest  # for the compiled law
 
     def __call__(self, q: ArrayLike, t: float = 0.0) -> Vector:
-        """Velocity towards the middle of the ranges [rad/s or m/s].
+        """Return the velocity towards the middle of the ranges [rad/s or m/s].
 
         Raises:
             ConfigurationError: q has the wrong size or is not finite.
         """
         x = (self.robot.positions(q) - self._middle) * self._per_half
         room, pull = joint_range_margin(x), self._strength * x
-        # multiplied by room^2 above and below: finite at the limits
+        # numerator and denominator are multiplied by room^2, which keeps them finite at the limits
         return -pull / np.hypot(room * room, pull / self._longest)
 
     def __repr__(self) -> str:
@@ -183,7 +201,7 @@ class _Ascent(SampledPolicy):
     """Bounded ascent of the logarithm of a measure that vanishes where rows of a constraint are lost.
 
     Args:
-        constraint: Whose rows count.
+        constraint: Constraint with these rows.
         gain: Rate [rad^2/s].
         max_speed: Largest norm of pi [rad/s]; None for no bound.
     """
@@ -242,18 +260,19 @@ class ManipulabilityAscent(_Ascent):
 
     sigma the smallest singular value of A: continuous, with a slope that a step of dt can follow. It vanishes towards
     the singularity; at it, `SEED_SPEED` along the steepest ascent of mu is left, and the controller adds the motion
-    that leaves it (see `singularity`).
+    that leaves it (see `Law`).
 
-    Where a task drives rows beside those that are held, the manipulability that counts is that of both: of the held
-    ones alone it may rise while the driven direction is being lost. `FreeDirection.ascent` climbs that of both.
+    If a task also drives rows, the manipulability of both the held and the driven rows matters: the manipulability of
+    the held rows alone may rise while the driven direction is being lost. `FreeDirection.ascent` climbs a measure of
+    both.
 
     Args:
-        constraint: Whose manipulability is climbed; true or learnt.
+        constraint: Constraint whose manipulability is climbed; true or learnt.
         gain: Rate; for grad log mu [rad^2/s].
         logarithmic: False for the paper's raw gradient, which is not bounded.
         max_speed: Largest norm of pi [rad/s]; None for no bound. At a singularity the unbounded gradient has the
             direction of steepest ascent, also where several directions are lost at once. At 1 rad/s singularities are
-            left more slowly, and a hand is pulled less off what holds it where a spare joint meets its limit.
+            left more slowly, and a hand is pulled less far off its constraint where a redundant joint meets its limit.
 
     Raises:
         ConstraintError: `max_speed` is not positive, or no constraint was given.
@@ -299,18 +318,18 @@ class ManipulabilityAscent(_Ascent):
 
 @final
 class RoomAscent(_Ascent):
-    """pi climbs the room that is left: of the rows' singular values, and of the joints' ranges.
+    """Ascent of the remaining range of motion: of the rows' singular values, and of the joints' ranges.
 
         m_i = sigma_i / (sigma_i + sigma_0),    m_j = 1 - x_j^2,    M = (sum_i m_i^-2 + sum_j m_j^-2)^(-1/2)
         pi = gain grad log M, at most max_speed as for `ManipulabilityAscent`
 
-    sigma_0 is the singular value at which the speed asked for needs the slowest joint's full speed, x_j in -1 ... 1 the
-    place of joint j in its range. M is a smooth minimum: what has least room counts most. The manipulability alone
-    leads joints to their limits.
+    sigma_0 is the singular value at which the requested speed needs the slowest joint's full speed, x_j in -1 ... 1 the
+    normalised position of joint j in its range. M is a smooth minimum: the smallest m counts most. The manipulability
+    alone leads joints to their limits.
 
     Args:
         constraint: Rows held and driven.
-        speed: Along them [m/s or rad/s].
+        speed: Requested speed along the rows [m/s or rad/s].
         gain: Rate [rad^2/s].
         max_speed: Largest norm of pi [rad/s].
 
@@ -348,12 +367,12 @@ class RoomAscent(_Ascent):
 
 @final
 class KeptOrientation(SampledPolicy):
-    """A policy summed with the wish that the hand is turned as a demonstrator kept it by habit, where joints are spare.
+    """A policy summed with a pull towards the demonstrated orientation of the hand, where the arm is redundant.
 
-    The wish descends theta^2 / (2 rms^2), theta the angle from the orientation that was shown and rms how well that was
-    kept: a habit weighs as much as it was kept well, 1 / rms^2 beside grad log M of `RoomAscent`, with the same gain.
-    The step is implicit, stable at any weight: with the rotation rows J of the hand, and
-    h = max(3 dt, 0.1 s) gain,
+    It is for orientations that demonstrators kept by habit. The pull descends theta^2 / (2 rms^2), theta the angle from
+    the demonstrated orientation and rms the deviation of the demonstrations from it: its weight is 1 / rms^2 relative
+    to grad log M of `RoomAscent`, with the same gain. The step is implicit, stable at any weight: with the rotation
+    rows J of the hand, and h = max(3 dt, 0.1 s) gain,
 
         pi = (I + h J^T J / rms^2)^-1 (pi_0 + gain J^T theta / rms^2)
 
@@ -362,12 +381,13 @@ class KeptOrientation(SampledPolicy):
     Args:
         policy: pi_0.
         features: Rows of a frame's twist (`PoseRows`).
-        wanted: Returns the orientation of the frame (3, 3) that was shown for where the motion is.
-        rms: [rad], positive.
+        wanted: Returns the demonstrated orientation of the frame (3, 3), base frame, for the current position on the
+            path.
+        rms: RMS deviation of the demonstrations [rad], positive.
         gain: Rate [rad^2/s].
 
     Raises:
-        ConfigurationError: rms or the gain is no positive number.
+        ConfigurationError: rms or the gain is not a positive number.
     """
 
     def __init__(
@@ -378,21 +398,21 @@ class KeptOrientation(SampledPolicy):
         rms: float,
         gain: float = ASCENT_GAIN,
     ):
-        self.policy, self._features, self._wanted = policy, features, wanted
+        self.policy, self._features, self._orientation = policy, features, wanted
         self.rms, self.gain = _positive("rms", rms), _positive("gain", gain)
 
     def __call__(self, q: ArrayLike, t: float = 0.0, dt: float = 0.01) -> Vector:
-        """Velocity of the policy, and towards the orientation that was shown [rad/s].
+        """Return the velocity of the policy plus the pull towards the demonstrated orientation [rad/s].
 
         Raises:
             ConfigurationError: q has the wrong size or is not finite.
         """
         u = self.policy.over_step(q, t, dt)
         J, pose = self._features.twist_rows(q, False)[3:], self._features.pose(q)
-        turn = rotation_vector(self._wanted() @ pose[:3, :3].T)
+        turn = rotation_vector(self._orientation() @ pose[:3, :3].T)
         u = u + (self.gain / self.rms**2) * J.T.dot(turn)
-        # taken back in three cycles at the fastest, for readings may be two cycles late, and in 0.1 s: faster is the
-        # noise of the encoders
+        # the deviation is corrected in at least three cycles, because readings may be two cycles late, and in at least
+        # 0.1 s, because faster changes are encoder noise
         stiff = self.rms**2 / (max(3.0 * dt, 0.1) * self.gain) * np.eye(3) + J @ J.T
         return u - J.T.dot(np.linalg.solve(stiff, J.dot(u)))
 
@@ -421,7 +441,7 @@ class WeightedPolicies(SampledPolicy):
             raise ConfigurationError(f"weights must be numbers of at least 0, got {list(self.weights)}")
 
     def __call__(self, q: ArrayLike, t: float = 0.0, dt: float = 0.01) -> Vector:
-        """Weighted sum of the policies' velocities [rad/s or m/s].
+        """Return the weighted sum of the policies' velocities [rad/s or m/s].
 
         Raises:
             ConfigurationError: q has the wrong size or is not finite.
@@ -441,8 +461,15 @@ class WeightedPolicies(SampledPolicy):
 def steepest_ascent(decomposition: Decomposition, vjp: Vjp) -> Vector:
     """Return the unit vector along which lost singular values grow fastest, in the null space if they grow there.
 
-    With U_0, V_0 spanning what A has lost, U_0^T A(q + step) V_0 is linear in the step, with matrix M; mu is a cone
-    there, and the leading right singular vector of M its steepest ascent.
+    With U_0, V_0 spanning the directions that A has lost, U_0^T A(q + step) V_0 is linear in the step, with matrix M;
+    mu is a cone there, and the leading right singular vector of M its steepest ascent.
+
+    Args:
+        decomposition: Singular value decomposition of A(q): U (s, s), singular values, V^T (nv, nv).
+        vjp: Derivative of A: weights (s, nv) -> gradient (nv,) of the weighted sum of A's entries.
+
+    Returns:
+        shape (nv,); zeros where the rows depend on each other everywhere.
     """
     U, sigma, Vt = decomposition
     rank = int(np.count_nonzero(sigma > SINGULAR_RATIO * sigma[0]))
@@ -454,7 +481,8 @@ def steepest_ascent(decomposition: Decomposition, vjp: Vjp) -> Vector:
     _, rates, directions = np.linalg.svd(M.dot(Z.T))
     if not rates[0] > 1e-6 * size:
         Z, (_, rates, directions) = unit(M.shape[1]), np.linalg.svd(M)
-    # of directions along which it grows as fast, as at the saddle of a planar arm, that of the first joint with most
+    # several directions may be equally fast, as at the saddle of a planar arm: take the projection of the first joint
+    # with the largest share
     fastest = directions[: np.count_nonzero(rates >= rates[0] * (1.0 - 1e-9))].dot(Z)
     shares = (fastest * fastest).sum(axis=0)
     joint = int(np.argmax(shares >= shares.max() - 1e-9))
@@ -463,7 +491,7 @@ def steepest_ascent(decomposition: Decomposition, vjp: Vjp) -> Vector:
 
 @final
 class PolicyFunction(NullSpacePolicy):
-    """pi(q), or pi(q, t), by a function.
+    """A policy that calls a function, pi(q) or pi(q, t).
 
     Args:
         function: Posture, or posture and time [s], to joint velocity, shape (nv,) [rad/s or m/s].
@@ -480,12 +508,12 @@ class PolicyFunction(NullSpacePolicy):
                 takes.bind(*range(number))
                 fits.add(number)
         if not fits:
-            wanted = "write lambda q: ... or lambda q, t: ..."
-            raise ConfigurationError(f"a null-space policy takes q, or q and t; this one takes {takes}: {wanted}")
+            usage = "write lambda q: ... or lambda q, t: ..."
+            raise ConfigurationError(f"a null-space policy takes q, or q and t; this one takes {takes}: {usage}")
         self._timed = 2 in fits and (1 not in fits or "t" in takes.parameters)
 
     def __call__(self, q: ArrayLike, t: float = 0.0) -> Vector:
-        """The function's answer as an array [rad/s or m/s]."""
+        """Return the function's answer as an array [rad/s or m/s]."""
         answer = self.function(q, t) if self._timed else self.function(q)
         try:
             return np.asarray(answer, dtype=np.float64)
@@ -496,19 +524,29 @@ class PolicyFunction(NullSpacePolicy):
         return f"PolicyFunction({getattr(self.function, '__name__', self.function)!s})"
 
 
-def policy_of(policy: NullSpacePolicy | Callable[..., ArrayLike]) -> NullSpacePolicy:
-    """Return a policy as it is, a function as one."""
+def as_policy(policy: NullSpacePolicy | Callable[..., ArrayLike]) -> NullSpacePolicy:
+    """Return a policy unchanged, and wrap a function as a `PolicyFunction`.
+
+    Args:
+        policy: A policy, or a function of q, or of q and t.
+    """
     return policy if isinstance(policy, NullSpacePolicy) else PolicyFunction(policy)
 
 
-def climbing(policy: NullSpacePolicy, before: Constraint, after: Constraint) -> NullSpacePolicy:
-    """Return a policy, its ascents of one constraint climbing the manipulability of another."""
+def replace_constraint(policy: NullSpacePolicy, before: Constraint, after: Constraint) -> NullSpacePolicy:
+    """Return a policy with its ascents of one constraint changed to another; other policies are returned unchanged.
+
+    Args:
+        policy: The policy; weighted sums and `KeptOrientation` are searched for ascents.
+        before: Constraint that the ascents climb now.
+        after: Constraint that they will climb.
+    """
     if isinstance(policy, _Ascent) and policy.constraint is before:
         changed: dict[str, Any] = {"constraint": after}
     elif isinstance(policy, KeptOrientation):
-        changed = {"policy": climbing(policy.policy, before, after)}
+        changed = {"policy": replace_constraint(policy.policy, before, after)}
     elif isinstance(policy, WeightedPolicies):
-        changed = {"policies": tuple(climbing(part, before, after) for part in policy.policies)}
+        changed = {"policies": tuple(replace_constraint(part, before, after) for part in policy.policies)}
     else:
         return policy
     other = copy.copy(policy)

@@ -1,4 +1,4 @@
-"""Readings of an arm: a posture that it can have, and that it can have moved to."""
+"""Readings of an arm: checks that they are postures of the arm, and that it can have moved there."""
 
 from __future__ import annotations
 
@@ -15,24 +15,22 @@ from manip_learn.linalg import finite
 from manip_learn.recordings.checks import far_outside
 from manip_learn.robot.robot import Robot
 
-JUMP = 0.05  # [rad or m] by which a reading may be off beyond twice what a joint can move meanwhile
-
 
 @final
 @dataclass(frozen=True, eq=False)
 class Readings:
-    """The readings of one arm.
+    """Checks of the readings of one arm.
 
     Attributes:
         robot: The robot.
-        farthest: shape (nv,), positions that no joint is at, however its encoder counts [rad or m].
+        farthest: shape (nv,), magnitudes that no joint position reaches, whatever turn its encoder counts [rad or m].
     """
 
     robot: Robot
     farthest: Float[np.ndarray, " nv"] | float
 
     def posture(self, reading: Any) -> Posture | None:
-        """Return a reading as an array of its own, or None if it is not a posture.
+        """Return a reading as a new array, or None if it is not a posture.
 
         Args:
             reading: Anything.
@@ -42,35 +40,40 @@ class Readings:
             if q.dtype.kind not in "fiu" or q.ndim != 1:
                 return None
             q = self.robot.checked_posture(q.astype(np.float64))
-            # (cos, sin) of any length but 0
+            # a pair (cos, sin) may have any length but 0
             within = bool(np.all(np.abs(q) < self.farthest))
             return (q if q.shape[0] == self.robot.nv else self.robot.configuration(q)) if within else None
         except (TypeError, ValueError, OverflowError, ConfigurationError):
             return None
 
     def refusal(self, reading: Any) -> str:
-        """Return why a reading is not a posture, in words."""
+        """Return why a reading is not a posture, in words.
+
+        Args:
+            reading: A reading for which `posture` returns None.
+        """
         words, x = f"no posture: {reading!r:.200}", finite(reading, self.robot.nv)
         far = "" if x is None else far_outside(self.robot, x)
         return f"{words}; {far}" if far else words
 
     def jump(self, before: Posture | None, q: Posture, since: float) -> str:
-        """Return how a joint has moved that none can move so fast, in words; empty if none has.
+        """Return in words a movement that is too fast for the joint; empty if there is none.
 
         Args:
-            before: Posture that was read before; None for none.
+            before: Posture of the previous reading; None for none.
             q: Posture.
             since: Time between them [s].
         """
-        if before is None or (away := q - before).dot(away) < JUMP * JUMP:
+        jump = 0.05  # [rad or m] error of a reading that is accepted beyond twice the largest motion of the joint
+        if before is None or (away := q - before).dot(away) < jump * jump:
             return ""
         step, robot = self.robot.difference(before, q), self.robot
-        fastest = 2.0 * robot.velocity_limit * since + JUMP
-        if np.all(np.abs(step) <= fastest):
+        farthest = 2.0 * robot.velocity_limit * since + jump
+        if np.all(np.abs(step) <= farthest):
             return ""
-        j = int((np.abs(step) / fastest).argmax())
+        j = int((np.abs(step) / farthest).argmax())
         name, moved = robot.joint_names[j], f"{step[j]:+.3g} {robot.joint_units[j]}"
-        words = f"joint {name} was read {moved} from where it was {1e3 * since:.3g} ms before"
-        if np.all(np.abs(np.diff([np.sort(robot.positions(x)) for x in (before, q)], axis=0)) <= np.sort(fastest)):
-            return f"{words}: the joints come in another order"
+        words = f"joint {name} reads {moved} from its position {1e3 * since:.3g} ms before"
+        if np.all(np.abs(np.diff([np.sort(robot.positions(x)) for x in (before, q)], axis=0)) <= np.sort(farthest)):
+            return f"{words}: the joints are in another order"
         return words + other_turns(float(step[j]), robot.joint_units[j])

@@ -1,4 +1,4 @@
-"""What a controlled robot did: a rollout, and its file."""
+"""Rollouts: motions of a controlled robot, and their files."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from manip_learn.robot import html_card
 from manip_learn.robot.identity import RobotIdentity
 from manip_learn.robot.robot import Robot
 
-# what there is of each sample, and what a file has in its header
+# fields with a value per sample, and fields of a file's header
 _CURVES = ("time", "q", "u", "manipulability", "task_error", "status", "following_error")
 _HEADER = ("joint_names", "robot", "frame", "constraint", "phases", "ways", "around")
 
@@ -32,27 +32,28 @@ _HEADER = ("joint_names", "robot", "frame", "constraint", "phases", "ways", "aro
 @final
 @dataclass(frozen=True, eq=False, repr=False)
 class Rollout:
-    """What a controlled robot did.
+    """Motion of a controlled robot.
 
     Attributes:
         time: shape (T,) [s].
         q: shape (T, n), postures, the same kind of vector as the start.
         u: shape (T, nv), commanded velocities [rad/s or m/s].
-        manipulability: shape (T,), as the commands give it: of the controller's constraint.
+        manipulability: shape (T,), manipulability of the controller's constraint, from the commands.
         status: shape (T,), see `Status`.
         joint_names: One name per velocity.
         task_error: shape (T,), distance to the task's goal along the constrained rows [m or rad]; NaN if the controller
             has no `task_error`.
         frame: Frame that the constraint holds, whose path a replay draws; empty if its features have no frame.
-        robot: Which robot it was made with, and which joints were locked where; None for a system without a robot.
-        target: Where the task was to arrive, as `Task.goal` says it; None for a task without such a place.
-        constraint: What guided it, as `Constraint.to_dict` writes it but for the phases of the recordings that it was
-            learnt from (`Constraint.from_dict` builds it); None if that is not known or cannot be written.
-        following_error: shape (T,), largest distance between commanded and measured joint positions, as a `ServoLoop`'s
-            commands give it [rad or m]; None if it is not known.
-        phases: Name, start and end [s] of the parts that follow each other, e.g. of a plan; empty where it is one.
-        ways: What became of each way along a mechanism, as `WayDone.to_dict` says it, `begins` on this clock [s].
-        around: What a plan kept clear of, as `Obstacle.to_dict` says it, and how near it came to each [m].
+        robot: Identity of the robot, with its locked joints; None for a system without a robot.
+        target: Target of the task, as `Task.goal` returns it; None for a task without one.
+        constraint: Constraint of the controller, as `Constraint.to_dict` writes it, without the phases of the
+            demonstrations (`Constraint.from_dict` builds it); None if that is not known or cannot be written.
+        following_error: shape (T,), largest distance between commanded and measured joint positions, from the commands
+            of a `ServoLoop` [rad or m]; None if it is not known.
+        phases: Name, start and end [s] of the parts that follow each other, e.g. of a plan; empty for a single part.
+        ways: Outcome of each motion along a mechanism, as `WayDone.to_dict` returns it, `begins` on this clock [s].
+        around: Obstacles that a plan avoided, as `Obstacle.to_dict` returns them, and the smallest distance to each
+            [m].
 
     Example:
         >>> import manip_learn as ml
@@ -93,17 +94,17 @@ class Rollout:
         return int(self.time.shape[0])
 
     def _curves(self) -> dict[str, Any]:
-        """Return by name what is known of each sample."""
+        """Return the fields with a value per sample, by name, as far as they are known."""
         return {name: values for name in _CURVES if (values := getattr(self, name)) is not None}
 
     @property
     def mu(self) -> Float[np.ndarray, " T"]:
-        """The manipulability, by its letter."""
+        """The manipulability under its symbol."""
         return self.manipulability
 
     @property
     def status_counts(self) -> dict[str, int]:
-        """How often each status occurred."""
+        """Number of samples with each status."""
         return {str(s): self.status.count(s) for s in dict.fromkeys(self.status)}
 
     def __repr__(self) -> str:
@@ -115,7 +116,7 @@ class Rollout:
         return html_card.card("Rollout", html_card.facts(self._facts()), picture)
 
     def _facts(self) -> list[tuple[str, str | None]]:
-        """Name -> value in words; None where there is nothing to say."""
+        """Return names and values in words; None where there is no value."""
         mu, span = self.manipulability, self.time[-1] - self.time[0] if len(self) else 0.0
         ends = self.task_error[-1] if len(self) else np.nan
         return [
@@ -128,81 +129,111 @@ class Rollout:
         ]
 
     def trajectory(self, name: str = "rollout") -> Trajectory:
-        """Return the motion as a demonstration, so that it can be learnt from again."""
+        """Return the motion as a demonstration, to learn from it.
+
+        Args:
+            name: Name of the demonstration.
+        """
         return Trajectory(self.time, self.q, self.u, self.joint_names, name, exact=True)
 
     def to_frame(self) -> PandasFrame:
         """Return one row per sample: `time`, joint positions and velocities by name, `mu`, `task_error` and `status`.
 
         Raises:
-            RecordingError: Postures that are no joint positions (nq differs from nv) have no column names.
+            RecordingError: Postures that are not joint positions (nq differs from nv) have no column names.
             MissingExtraError: pandas is not installed.
         """
         table: Any = pandas_frame_of([self.trajectory()]).drop(columns=TRAJECTORY)
         return table.assign(mu=self.mu, task_error=self.task_error, status=list(map(str, self.status)))
 
     def until(self, end: float) -> Rollout:
-        """Return the samples up to a time [s]."""
+        """Return the samples up to a time.
+
+        Args:
+            end: The time [s]; samples at that time are included.
+        """
         n = int(np.searchsorted(self.time, end + 1e-9))
         return replace(self, **{name: values[:n] for name, values in self._curves().items()})
 
     def followed_by(self, other: Rollout) -> Rollout:
-        """Join this motion and another one of the same robot that begins where it ends; phases and ways of both."""
+        """Return this motion joined with another one of the same robot that begins where it ends, with phases and ways
+        of both.
+
+        Args:
+            other: The motion that follows; its times are shifted.
+        """
         shift = float(self.time[-1])
         time, status = np.concatenate([self.time[:-1], other.time + shift]), (*self.status[:-1], *other.status)
         arrays = ("q", "u", "manipulability", "task_error")
         joined = {name: np.concatenate([getattr(self, name)[:-1], getattr(other, name)]) for name in arrays}
         phases = (*self.phases, *((name, start + shift, end + shift) for name, start, end in other.phases))
         later = ({**way, "begins": None if way["begins"] is None else way["begins"] + shift} for way in other.ways)
-        around = dict[str, Mapping[str, Any]]()  # of what stands around in both, where the arm comes nearer to it
+        # of an obstacle in both motions, the entry with the smaller distance counts
+        avoided = dict[str, Mapping[str, Any]]()
         for thing in sorted((*self.around, *other.around), key=lambda thing: thing.get("nearest", np.inf)):
-            around.setdefault(json.dumps({k: v for k, v in thing.items() if k not in ("nearest", "link")}), thing)
-        parts = {"phases": phases, "ways": (*self.ways, *later), "around": tuple(around.values())}
+            avoided.setdefault(json.dumps({k: v for k, v in thing.items() if k not in ("nearest", "link")}), thing)
+        parts = {"phases": phases, "ways": (*self.ways, *later), "around": tuple(avoided.values())}
         return replace(other, time=time, status=status, **joined, following_error=None, **parts)
 
     def violation(self, constraint: Constraint) -> Float[np.ndarray, " T"]:
         """Return the speed at which each step breaks a constraint with b = 0, in the rows' units per second.
 
-        |A u| with the mean of A(q) at both ends of the step for which u is held; at the last sample A(q).
+        It is |A u| with the mean of A(q) at both ends of the step for which u is held; at the last sample A(q).
+
+        Args:
+            constraint: The constraint.
+
+        Returns:
+            shape (T,).
         """
         A = np.array([constraint(q) for q in self.q])
         A[:-1] = 0.5 * (A[:-1] + A[1:])
         return np.linalg.norm(np.einsum("tij,tj->ti", A, self.u), axis=1)
 
     def manipulability_of(self, constraint: Constraint) -> Float[np.ndarray, " T"]:
-        """Return mu of another constraint along the same motion."""
+        """Return mu of another constraint along the same motion, shape (T,).
+
+        Args:
+            constraint: The constraint.
+        """
         return np.array([manipulability(constraint, q) for q in self.q])
 
     def save(self, path: str | Path) -> Path:
-        """Write a file, whole or not at all.
+        """Write a file, completely or not at all.
 
         Args:
-            path: Its ending says the format: `.npz` (NumPy) and `.csv` (text table) are read by `Rollout.load` and
+            path: Its ending selects the format: `.npz` (NumPy) and `.csv` (text table) are read by `Rollout.load` and
                 `load_demonstrations`, bit for bit; `.mcap` is a bag for ROS 2 (JointState messages).
+
+        Returns:
+            The path of the file.
 
         Raises:
             OutputError: It cannot be written, or has another ending.
             MissingExtraError: `.mcap` needs the extra `ros`.
         """
-        told = {name: getattr(self, name) for name in _HEADER}
-        told |= {"target": None if self.target is None else self.target.tolist(), "nq": self.q.shape[1]}
-        header = FileHeader("rollout", following_error=self.following_error is not None, **told)
+        fields = {name: getattr(self, name) for name in _HEADER}
+        fields |= {"target": None if self.target is None else self.target.tolist(), "nq": self.q.shape[1]}
+        header = FileHeader("rollout", following_error=self.following_error is not None, **fields)
         return write_motion(path, SavedMotion(header, self._curves() | {"status": np.array(self.status, dtype=str)}))
 
     @staticmethod
     def load(path: str | Path, robot: Robot | None = None) -> Rollout:
-        """Read what `save` wrote.
+        """Read a file of `save`.
 
         Args:
             path: The file.
-            robot: The robot that it will be used with: another one, or other locked joints, are refused. Without one
-                the rollout still knows its own: `load_robot(name, locked=rollout.robot.locked)` is that robot.
+            robot: The robot that it will be used with: another one, or other locked joints, are refused. Without it the
+                rollout still has its own: `load_robot(name, locked=rollout.robot.locked)` is that robot.
+
+        Returns:
+            The rollout.
 
         Raises:
             RecordingError: No such file, another kind of file, or another robot.
 
         Warns:
-            UserWarning: The file does not say which robot it was made with.
+            UserWarning: The file does not name the robot that it was made with.
         """
         rollout, notes = Rollout.load_with_notes(path, robot)
         for note in notes:
@@ -211,7 +242,14 @@ class Rollout:
 
     @staticmethod
     def load_with_notes(path: str | Path, robot: Robot | None = None) -> tuple[Rollout, tuple[str, ...]]:
-        """Read as `load` does, but what it warns of is returned, in sentences.
+        """Read a file as `load` does, but return its warnings, in sentences.
+
+        Args:
+            path: The file.
+            robot: As for `load`.
+
+        Returns:
+            The rollout and the warnings.
 
         Raises:
             RecordingError: No such file, another kind of file, or another robot.
@@ -223,23 +261,27 @@ class Rollout:
             raise refusal(path, "not-a-rollout", f"it is a recording, no rollout{fix}")
         notes = check_robot(path, header, robot) if robot is not None else ()
         if robot is not None and header.joint_names != robot.joint_names:
-            made, has = (", ".join(names) for names in (header.joint_names, robot.joint_names))
-            text = f"it was made with the joints {made}, robot {robot.name!r} has {has}"
+            file_joints, robot_joints = (", ".join(names) for names in (header.joint_names, robot.joint_names))
+            text = f"it was made with the joints {file_joints}, robot {robot.name!r} has {robot_joints}"
             raise refusal(path, "other-robot", f"{text}: load the robot it was made with, with the same locked joints")
-        known, words = set(Status), motion.arrays["status"].tolist()
-        if (number := next((i for i, word in enumerate(words) if word not in known), None)) is not None:
+        statuses, words = set(Status), motion.arrays["status"].tolist()
+        if (number := next((i for i, word in enumerate(words) if word not in statuses), None)) is not None:
             text = f"the status is {words[number]!r:.40}, it must be one of {', '.join(Status)}"
             raise refusal(path, "status", text, where=f"{path.name} sample {number}")
-        told = {name: getattr(header, name) for name in (*_HEADER, "target")}
-        told |= {name: motion.arrays[name] for name in _CURVES if name in motion.arrays}
+        fields = {name: getattr(header, name) for name in (*_HEADER, "target")}
+        fields |= {name: motion.arrays[name] for name in _CURVES if name in motion.arrays}
         phases = tuple((name, float(start), float(end)) for name, start, end in header.phases or ())
-        told |= {"phases": phases, "ways": tuple(header.ways or ()), "around": tuple(header.around or ())}
-        told["status"] = tuple(map(Status, words))
-        return Rollout(**told), notes
+        fields |= {"phases": phases, "ways": tuple(header.ways or ()), "around": tuple(header.around or ())}
+        fields["status"] = tuple(map(Status, words))
+        return Rollout(**fields), notes
 
 
 def written_constraint(constraint: Constraint) -> Mapping[str, Any] | None:
-    """Return a constraint as a rollout keeps it; None if its features, or what it came from, cannot be written."""
+    """Return a constraint as a rollout stores it; None if its features or its provenance cannot be written.
+
+    Args:
+        constraint: The constraint.
+    """
     provenance = {k: v for k, v in constraint.provenance.items() if k not in ("phases", "odd_trajectories")}
     try:
         json.dumps(provenance, allow_nan=False)

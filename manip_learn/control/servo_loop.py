@@ -1,13 +1,13 @@
-"""The loop that a real-time program calls: rules, which say what follows, and a state, which is all that it remembers.
+"""The loop that a real-time program calls: rules for each step, and a state that holds all of the loop's memory.
 
 ::
 
-    goes on --- no posture, no time, too old, `stop` --> brakes, and stands
+    goes on --- no posture, no time, too old, `stop` --> brakes, and is at rest
        ^ <---------------- the reason is gone ---------------+   |
        |                                                         |
-       +--- either: blocked --> lets go --- nothing presses --> stands, blocked
+       +--- either: blocked --> relaxes --- nothing presses --> at rest, blocked
        |                                                         |
-       +------ arrived --- goes back to where the arm is <--- `reset`
+       +------ arrived --- goes back to the arm's position <-- `reset`
 """
 
 from __future__ import annotations
@@ -27,30 +27,28 @@ from manip_learn.control.controller import BoundedController
 from manip_learn.control.law import next_slide
 from manip_learn.control.limits import Bounds, Limits, farthest_positions, stopping_speed
 from manip_learn.control.reading import Readings
-from manip_learn.control.servos import copied
+from manip_learn.control.servos import shallow_copy
 from manip_learn.control.tasks import PointAttractor, Task
 from manip_learn.control.timing import Timing, VelocityAverage, in_milliseconds, time_of
 from manip_learn.errors import ConfigurationError
 from manip_learn.robot.robot import Robot
 
 _LOGGER = logging.getLogger("manip_learn")
-_SETTLED = 0.05  # [s] after which an arm that was let go stands
-RENEWALS = 10  # times that an arm goes on letting go where more is left
-_ARRIVED = 1e-9  # [rad or m] distance at which a posture is reached
-# arguments that are gone, and what to give instead
+RENEWALS = 10  # largest number of continued relaxations while a force remains
+# removed arguments, and their replacements
 _REMOVED = {
     **dict.fromkeys(("latency", "stiffness"), ": give contact=Contact({}={!r})"),
     "following_error_limit": ": give contact=Contact(stiffness=...), forces on the hand stop the arm",
     "correction_time": ": load the robot with its payload, robot.with_payload(...)",
 }
-WayBack = tuple[Vector, Posture | None, float]  # of the posture that is sent, see `State`
+WayBack = tuple[Vector, Posture | None, float]  # return motion of the posture that is sent, see `State`
 STANDING = (Status.INVALID_INPUT, Status.STALE, Status.FOLLOWING_ERROR, Status.STOPPED)
 
 
 @final
 @dataclass(eq=False)
 class State:
-    """All that a loop remembers from one period to the next; it is not changed any more once a step has returned it.
+    """All of a loop's memory from one period to the next; it is not changed any more once a step has returned it.
 
     Attributes:
         following: Servos, and the force on the hand.
@@ -61,25 +59,25 @@ class State:
         sent: shape (nv,), of the posture that is sent.
         reference: Posture of the controller; None before the first reading.
         position: Posture that is sent: `reference` but for the average.
-        measured: Newest posture that was read; None before the first.
+        measured: Newest measured posture; None before the first.
         last: Newest command; None before the first.
-        stopped_by: What last stopped the arm, in words; None where nothing has.
-        is_stopped: Whether `ServoLoop.stop` was called, and not yet `start`.
-        lets_go: Whether the arm lets go of what blocked it.
-        slide: By how much the law gives up the direction of its task, 0 to 1.
-        alone: Whether it began with the first reading, and no other has been near that.
-        refused: For how long readings have come that no joint can have moved to [s]; after `stale_after` they count.
-        jumped: What was said of the newest of them, and its time [s].
-        runs_on: Whether the arm goes on between late calls, as a velocity servo does.
-        way_back: While the posture that is sent goes back to where the arm is, after a following error: distance at
-            which a weight keeps the arm [rad or m], where it goes, and share of the acceleration limits, times s.
-        relief: Posture to which an arm goes that lets go; None before it is blocked.
-        pressed: Commanded and measured posture when it was blocked, and by how much it may let go.
-        renewed: How often it has gone on letting go.
-        rested: Time since it was last looked at [s].
-        moved: shape (nv,), velocity with which it was going, until it turns back.
+        stopped_by: Reason of the last stop, in words; None if there was none.
+        is_stopped: True after `ServoLoop.stop`, until `start`.
+        lets_go: True while the arm relaxes after it was blocked.
+        slide: Share of the task's direction that the law gives up, 0 to 1.
+        alone: True if it began with the first reading, and no other has been near that.
+        refused: Time for which readings have come that no joint can have moved to [s]; after `stale_after` they count.
+        jumped: Words on the newest of them, and its time [s].
+        runs_on: True if the arm continues to move between late calls, as a velocity servo does.
+        way_back: While the posture that is sent returns to the arm's position after a following error: deflection by a
+            weight [rad or m], goal, and share of the acceleration limits, times s.
+        relief: Posture to which a relaxing arm moves; None before it is blocked.
+        pressed: Commanded and measured posture when it was blocked, and the largest relaxation.
+        renewed: Number of continued relaxations.
+        rested: Time since the relaxation was last evaluated [s].
+        moved: shape (nv,), velocity at the time of the stop, until the arm turns back.
         payload: Words on a weight that it seems to carry.
-        hangs: Whether a weight pulls it, and nothing blocks it.
+        hangs: True if a weight pulls the arm, and nothing blocks it.
     """
 
     following: FollowingError
@@ -109,21 +107,21 @@ class State:
     payload: str = ""
     hangs: bool = False
 
-    def copied(self) -> State:
-        """Return a copy for the next period; nothing that it is made of is changed in place."""
-        other = copied(self)
-        other.following = self.following.copied()
+    def copy(self) -> State:
+        """Return a copy for the next period; its parts are never changed in place."""
+        other = shallow_copy(self)
+        other.following = self.following.copy()
         return other
 
 
 @final
 class LoopRules:
-    """How the state of a loop follows from the one before and a reading.
+    """Rules by which the next state of a loop follows from the present one and a reading.
 
     Args:
         controller: The controller, within `limits`.
         limits: Limits of velocity, acceleration, jerk and position.
-        contact: Which forces on the hand stop the arm.
+        contact: Limits of the forces on the hand.
         dt: Period [s].
         stale_after: Time without a new reading after which the arm brakes [s].
     """
@@ -132,55 +130,61 @@ class LoopRules:
         self.controller, self.limits, self.contact = controller, limits, contact
         self.dt, self.stale_after = dt, stale_after
         self.robot: Robot = limits.robot
-        # an arm that presses brakes and lets go as hard as it can, however gently it was to move
+        # an arm that presses brakes and relaxes as hard as it can, even if its motion has lower limits
         hardest = np.maximum(limits.acceleration, Limits(self.robot).acceleration)
         self.hardest = limits.with_rates(hardest, None)
         self.readings = Readings(self.robot, farthest_positions(self.robot))
         self._unknown = FollowingError(self.robot, contact, dt, self.hardest.acceleration, controller.frame)
 
     def begin(self, before: State | None = None, posture: Posture | None = None) -> State:
-        """Return the state of an arm that stands, before its first reading.
+        """Return the state of an arm at rest, before its first reading.
 
         Args:
-            before: State of the motion before: how often the loop is called is known.
-            posture: Commanded posture; None takes the first that is read.
+            before: State of the previous motion, for the period of the calls; None for none.
+            posture: Commanded posture; None takes the first measured one.
         """
         rest, average = np.zeros(self.robot.nv), VelocityAverage.at_rest(self.limits, self.dt)
-        timing = Timing.begin(self.dt, self.stale_after) if before is None else before.timing.again()
-        return State(self._unknown.copied(), timing, average, rest, rest, posture, posture, alone=posture is None)
+        timing = Timing.begin(self.dt, self.stale_after) if before is None else before.timing.restart()
+        return State(self._unknown.copy(), timing, average, rest, rest, posture, posture, alone=posture is None)
 
     def step(self, state: State, q: Any, t: Any) -> tuple[State, Command]:
-        """Return the state and the command of the next period; the state that was given stays as it is.
+        """Return the state and the command of the next period; the given state is not changed.
 
         Args:
-            state: The state before.
+            state: The present state.
             q: Measured posture.
             t: Time at which it was measured [s].
 
         Raises:
-            ManipLearnError: What the controller raises.
+            ManipLearnError: An error of the controller.
         """
-        after = state.copied()
+        after = state.copy()
         return after, self.advance(after, q, t)
 
     def advance(self, s: State, q: Any, t: Any) -> Command:
-        """Return the command of the next period, and change the state, which is a copy, to that after it."""
+        """Return the command of the next period, and change the state, a copy, into the next one.
+
+        Args:
+            s: Copy of the present state; it is changed.
+            q: Measured posture.
+            t: Time at which it was measured [s].
+        """
         measured, time, timing = self.readings.posture(q), time_of(t), s.timing
-        timing = timing if measured is None else timing.ordered(time)
+        timing = timing if measured is None else timing.detect_reset(time)
         if measured is None or not time >= timing.time:
-            s.timing = timing.without(math.nan if measured is None else time)
+            s.timing = timing.skip_reading(math.nan if measured is None else time)
             s.stopped_by = self.readings.refusal(q) if measured is None else f"no time: {t!r:.40}"
             return self.brake(s, Status.INVALID_INPUT)
         jump = self.readings.jump(s.measured, measured, max(self.dt, time - timing.time))
         if jump and s.refused <= self.stale_after:
-            if s.alone:  # a first reading that the second one is not near: nothing starts from it
+            if s.alone:  # the second reading is far from the first one: do not start from the first
                 self.controller.reset()
                 back = None if s.way_back is None else (s.way_back[0], None, 0.0)
                 new = self.begin(s, measured if back is None else s.position)
-                kept = {"is_stopped": s.is_stopped, "way_back": back, "measured": measured, "alone": True}
-                vars(s).update(vars(new) | kept)
+                replaced = {"is_stopped": s.is_stopped, "way_back": back, "measured": measured, "alone": True}
+                vars(s).update(vars(new) | replaced)
                 timing = s.timing._replace(time=time)
-            s.timing = timing.without(timing.older)
+            s.timing = timing.skip_reading(timing.older)
             s.refused += self.dt
             s.stopped_by, s.jumped = jump, (jump, time)
             return self.brake(s, Status.INVALID_INPUT)
@@ -195,18 +199,18 @@ class LoopRules:
         if s.reference is None or s.position is None:
             s.reference = s.position = measured
         if s.way_back is not None:
-            self._go_back(s, s.position, s.way_back, measured, period)
+            self._return_to_arm(s, s.position, s.way_back, measured, period)
             return self.brake(s, Status.FOLLOWING_ERROR, period)
-        if timing.silent == 0.0:  # a state that is not new says nothing of the commands since
+        if timing.silent == 0.0:  # an old state has no information on the commands since
             s.following.compare(s.position, measured, self.controller.driven_motions)
         if s.following.tripped:
-            # the average would go on pressing for its own length
+            # the average would continue to press for its own length
             s.reference, s.velocity = s.position, s.sent
-            return self._unloading(s, s.position, measured, period)
+            return self._relax(s, s.position, measured, period)
         if timing.is_stale:
             s.stopped_by = f"no new state for more than {1e3 * self.stale_after:g} ms"
             if in_milliseconds(timing.since, self.dt):
-                s.stopped_by += f"; the time went on by {timing.since:g}, in milliseconds? It is to be in seconds"
+                s.stopped_by += f"; the time advanced by {timing.since:g}, in milliseconds? It must be in seconds"
             return self.brake(s, Status.STALE, period)
         if s.is_stopped:
             return self.brake(s, Status.STOPPED, period)
@@ -214,13 +218,14 @@ class LoopRules:
             if s.last.status in STANDING:
                 return self.brake(s, s.last.status)
             same = s.last._replace(velocity=s.velocity)  # goes on, as long as that stays within the limits
-            return self._sent_on(s, _within(same, self._bounds(s, s.reference, self.dt)), self.dt)
-        return self._sent_on(s, self._command(s, s.reference, self.clock(s, time), period), period)
+            return self._send_command(s, _clip_command(same, self._bounds(s, s.reference, self.dt)), self.dt)
+        return self._send_command(s, self._command(s, s.reference, self.clock(s, time), period), period)
 
-    def _go_back(self, s: State, sent: Posture, way: WayBack, measured: Posture, dt: float) -> None:
-        """Move the posture that is sent to where the arm was first measured, less its load: a newer reading has noise.
+    def _return_to_arm(self, s: State, sent: Posture, way: WayBack, measured: Posture, dt: float) -> None:
+        """Move the posture that is sent to the first measured position of the arm, less its load: newer readings add
+        noise.
 
-        All joints move along the straight way, faster by at most an acceleration for dt, and as fast as lets them stop
+        All joints move on a straight line. Their speed rises with at most the acceleration limits, and lets them stop
         (`stopping_speed`).
         """
         (load, goal, speed), robot, limits, s.way_back = way, self.robot, self.limits, None
@@ -236,64 +241,77 @@ class LoopRules:
             s.way_back = load, goal, speed
 
     def _catch_up(self, s: State, measured: Posture, stood: bool) -> None:
-        """Take the motion that the arm made because a call was late, or did not because it was early.
+        """Apply the motion that the arm made because a call was late, or did not make because it was early.
 
-        A velocity servo goes on moving until the next command comes, a position servo stands where it was sent: the
-        share of the motion that the last velocity makes in this time which the arm has made tells them apart.
+        A velocity servo keeps moving until the next command comes, a position servo stops at its command: the share of
+        the motion at the last velocity that the arm has made in this time distinguishes them.
         """
         timing, followed, square = s.timing, 0.0, float(s.sent.dot(s.sent))
         if s.position is not None and square > 0.0 and not s.following.tripped:
             away = self.robot.difference(s.position, measured)
             followed = min(1.0, max(0.0, float(away.dot(s.sent)) / (timing.late * square)))
         s.runs_on = s.runs_on or (timing.late > 0.0 and followed > 0.5)
-        # an early call takes back no more than it goes on by: the posture never moves against the velocity
+        # an early call takes back no more than its own step: the posture never moves against the velocity
         moved = max(timing.late, -timing.since) * followed
         self._advance(s, moved, s.sent)
         s.commanded = 0.0
         s.timing = timing._replace(waited=timing.waited - (0.0 if stood else moved))
 
     def clock(self, s: State, time: float) -> float:
-        """Return the time for the controller [s], less that for which a task that waits for the arm has waited."""
+        """Return the time for the controller [s]: without the pauses of a task that waits for the arm.
+
+        Args:
+            s: State.
+            time: Time of the caller [s].
+        """
         return time - s.timing.waited if self.controller.waits else time
 
     def _bounds(self, s: State, q: np.ndarray, held: float) -> Bounds:
-        """Bounds on the velocity that follows; where periods vary, a joint can stop however late the calls are.
+        """Return bounds on the next velocity; if periods vary, a joint can stop however late the calls are.
 
         In a call that is late by a time T, a velocity servo brakes by a dt only: the deceleration is a dt / T.
         """
         if s.timing.is_regular:
             return self.limits.bounds(q, held, s.velocity)
-        return self._careful(s, q, s.timing.longest).after(s.velocity, self.limits.acceleration * held)
+        return self._safe_bounds(s, q, s.timing.longest).after(s.velocity, self.limits.acceleration * held)
 
-    def _careful(self, s: State, q: np.ndarray, late: float) -> Bounds:
-        """Bounds from which a joint stops however late the calls are, without those of its acceleration."""
+    def _safe_bounds(self, s: State, q: np.ndarray, late: float) -> Bounds:
+        """Return bounds from which a joint stops however late the calls are, without acceleration limits."""
         return self.limits.bounds(q, late, None, s.timing.usual / late)
 
     def _command(self, s: State, q: np.ndarray, time: float, held: float) -> Command:
-        """The controller's command, within the limits and clear of what stands around; else the arm brakes.
+        """Return the controller's command, within the limits and clear of obstacles; else brake.
 
-        Where it would come to rest if it braked was clear one step before.
+        The position at rest after braking was clear one step before.
         """
         command, clear = self.controller(q, time, held, s.velocity, s.slide), self.limits.barriers.clear
         s.slide = next_slide(s.slide, command, held)
         if not s.timing.is_regular:
-            command = _within(command, self._bounds(s, q, held))
+            command = _clip_command(command, self._bounds(s, q, held))
         if clear is None:
             return command
         at = q, held, self.limits.acceleration, s.velocity
-        if not clear.was_clear(q, command.velocity) and clear.rows(*at, command.velocity) is not None:
-            command = _held_back(command, self._braking(s, held))._replace(limiting_joint=-1)
+        if not clear.is_latest_clear(q, command.velocity) and clear.rows(*at, command.velocity) is not None:
+            command = _replace_velocity(command, self._braking(s, held))._replace(limiting_joint=-1)
         if command.limiting_joint < 0 and command.status in (Status.POSITION_LIMITED, Status.STALLED):
-            s.stopped_by = clear.words() or s.stopped_by
+            s.stopped_by = clear.describe_nearest() or s.stopped_by
         return command
 
     def brake(self, s: State, status: Status, held: float | None = None) -> Command:
-        """Brake along the motion it was in, as hard as the acceleration limits allow in a time [s]."""
+        """Return a command that brakes along the present motion, as hard as the acceleration limits allow.
+
+        Args:
+            s: State; it is changed.
+            status: Status of the command.
+            held: Time for which the command is held [s]; None for the period.
+        """
         dt = self.dt if held is None else held
-        return self._beside_the_law(s, self._braking(s, dt), status, dt)
+        return self._command_without_law(s, self._braking(s, dt), status, dt)
 
     def _braking(self, s: State, dt: float) -> np.ndarray:
-        """The velocity with which the arm brakes for a time [s]: slower towards a limit, but at rest outside one."""
+        """Return the velocity with which the arm brakes for a time [s]: slower towards a limit, but at rest outside
+        one.
+        """
         u = s.velocity
         if s.reference is None or not u.any():
             return u
@@ -301,89 +319,92 @@ class LoopRules:
         bounds = bounds._replace(low=np.minimum(bounds.low, 0.0), high=np.maximum(bounds.high, 0.0))
         return self.limits.towards(np.zeros_like(u), u, bounds, dt)
 
-    def _unloading(self, s: State, commanded: np.ndarray, measured: np.ndarray, held: float) -> Command:
-        """The arm lets go of what blocks it: it goes to where it was measured when that was found, and on until it has.
+    def _relax(self, s: State, commanded: np.ndarray, measured: np.ndarray, held: float) -> Command:
+        """Relax a blocked arm: move to its measured position at the time of the contact, and on until no force is left.
 
-        What it was pressed by comes back with the arm, so that the first measurement does not say how far to go.
+        The obstacle springs back with the arm, so that the first measurement does not give the whole distance.
         """
-        following = s.following
+        following, at_rest_after, reached = s.following, 0.05, 1e-9  # [s]; [rad or m] largest distance to a goal
         if s.relief is None:
-            s.pressed, s.renewed, s.rested = (commanded, measured, following.farthest()), 0, 0.0
-            s.moved, s.payload = s.velocity, following.carry(following.servos.at_rest, measured)
-            s.relief, s.lets_go = self._let_go(s, commanded), True
-            self._name_cause(s, measured)
-        elif float(s.velocity.dot(s.moved)) > 0.0:  # it brakes, and each reading tells more of the cause
-            self._name_cause(s, measured)
-        elif not s.renewed and self._comes_along(s, commanded, measured):
+            s.pressed, s.renewed, s.rested = (commanded, measured, following.largest_relaxation()), 0, 0.0
+            s.moved, s.payload = s.velocity, following.accept_weight(following.servos.at_rest, measured)
+            s.relief, s.lets_go = self._relaxed_posture(s, commanded), True
+            self._set_cause(s, measured)
+        elif float(s.velocity.dot(s.moved)) > 0.0:  # it brakes, and each reading makes the cause clearer
+            self._set_cause(s, measured)
+        elif not s.renewed and self._follows_relaxation(s, commanded, measured):
             s.relief, s.renewed, s.hangs = commanded, RENEWALS, True
         else:
             s.moved = np.zeros_like(s.moved)
-        left = self.robot.difference(commanded, s.relief)
-        farthest = float(np.abs(left).max(initial=0.0))
+        remaining = self.robot.difference(commanded, s.relief)
+        farthest = float(np.abs(remaining).max(initial=0.0))
         s.rested += held
-        since, arrived = s.rested - following.servos.delay, farthest < _ARRIVED and not s.velocity.any()
-        if arrived and since > _SETTLED:
-            s.lets_go = s.renewed < RENEWALS and following.left(measured) > LEFT
+        since, arrived = s.rested - following.servos.delay, farthest < reached and not s.velocity.any()
+        if arrived and since > at_rest_after:
+            s.lets_go = s.renewed < RENEWALS and following.remaining_force(measured) > LEFT
             if s.hangs:  # the weight has come to rest
-                s.stopped_by = f"{s.stopped_by}{following.carry(following.distance, measured)}"
+                s.stopped_by = f"{s.stopped_by}{following.accept_weight(following.distance, measured)}"
                 s.hangs = False
-        if arrived and not (s.lets_go and since > _SETTLED):
+        if arrived and not (s.lets_go and since > at_rest_after):
             return self.brake(s, Status.FOLLOWING_ERROR, held)
         s.renewed += arrived
-        # the first measurements were those of an arm in motion: it is looked at again; what is near is noise
+        # the first measurements were of an arm in motion, so the goal is updated; small distances are noise
         if arrived or (farthest > 5e-4 and not s.renewed and since > 0.01):
-            s.relief, s.rested = self._let_go(s, commanded), 0.0
-            left = self.robot.difference(commanded, s.relief)
-            farthest = float(np.abs(left).max(initial=0.0))
-        # from 60 N to 3 N in 0.12 s, and not slower than 1 mrad/s on the way
-        wish = left * min(1.0 / held, max(25.0, 1e-3 / max(farthest, _ARRIVED)))
+            s.relief, s.rested = self._relaxed_posture(s, commanded), 0.0
+            remaining = self.robot.difference(commanded, s.relief)
+            farthest = float(np.abs(remaining).max(initial=0.0))
+        # from 60 N to 3 N in 0.12 s, and no slower than 1 mrad/s meanwhile
+        wish = remaining * min(1.0 / held, max(25.0, 1e-3 / max(farthest, reached)))
         bounds = self.hardest.bounds(commanded, held, s.velocity)
         velocity = self.hardest.towards(wish, s.velocity, bounds, held)
-        return self._beside_the_law(s, velocity, Status.FOLLOWING_ERROR, held)
+        return self._command_without_law(s, velocity, Status.FOLLOWING_ERROR, held)
 
-    def _name_cause(self, s: State, measured: np.ndarray) -> None:
-        """Say what stopped the arm."""
-        words = s.following.sentence(self.controller.constraint, measured) + s.payload
+    def _set_cause(self, s: State, measured: np.ndarray) -> None:
+        """Set the reason of the stop."""
+        words = s.following.describe_cause(self.controller.constraint, measured) + s.payload
         s.stopped_by = f"{s.jumped[0]}; {words}" if s.timing.time - s.jumped[1] <= self.stale_after else words
 
-    def _let_go(self, s: State, commanded: np.ndarray) -> np.ndarray:
-        """A posture at which the arm presses less, not far from where it pressed."""
+    def _relaxed_posture(self, s: State, commanded: np.ndarray) -> np.ndarray:
+        """Return a posture at which the arm presses less, within the largest relaxation."""
         place, _, most = s.pressed
-        gone = self.robot.difference(place, commanded) + s.following.relief()
-        way = np.clip(gone, -most, most)
-        if np.any(way != gone):  # no force takes an arm so far: what is measured is wrong
+        relaxation = self.robot.difference(place, commanded) + s.following.relief()
+        way = np.clip(relaxation, -most, most)
+        if np.any(way != relaxation):  # no force deflects an arm so far: the measurement is wrong
             s.renewed = RENEWALS
         return np.array(self.robot.integrate(place, way))
 
-    def _comes_along(self, s: State, commanded: np.ndarray, measured: np.ndarray) -> bool:
-        """True if an arm that is pulled down sinks as far as it lets go: a weight pulls it, and nothing blocks it."""
+    def _follows_relaxation(self, s: State, commanded: np.ndarray, measured: np.ndarray) -> bool:
+        """Return True if an arm that is pulled down sinks as far as it relaxes: a weight pulls it, and nothing blocks
+        it.
+        """
         place, pressed, _ = s.pressed
         following, servos = s.following, s.following.servos
-        gone = self.robot.difference(place, commanded) - servos.gone(round(servos.delay / self.dt))
-        came, square = self.robot.difference(pressed, measured), float(gone.dot(gone))
-        # letting go shows after 2 mrad or mm
-        return following.sinks and square > 2e-3 * 2e-3 and float(came.dot(gone)) > 0.9 * square
+        relaxation = self.robot.difference(place, commanded) - servos.travel(round(servos.delay / self.dt))
+        response, square = self.robot.difference(pressed, measured), float(relaxation.dot(relaxation))
+        # a relaxation of less than 2 mrad or mm is not conclusive
+        return following.sinks and square > 2e-3 * 2e-3 and float(response.dot(relaxation)) > 0.9 * square
 
-    def _beside_the_law(self, s: State, u: np.ndarray, status: Status, held: float) -> Command:
-        told = ("manipulability", "task_velocity", "smallest_singular_value")
-        known = {} if s.last is None else {name: getattr(s.last, name) for name in told}
-        return self._sent_on(s, Command.of_joints(u, status, task_scale=0.0, progress=0.0, **known), held)
+    def _command_without_law(self, s: State, u: np.ndarray, status: Status, held: float) -> Command:
+        names = ("manipulability", "task_velocity", "smallest_singular_value")
+        values = {} if s.last is None else {name: getattr(s.last, name) for name in names}
+        return self._send_command(s, Command.of_joints(u, status, task_scale=0.0, progress=0.0, **values), held)
 
-    def _sent_on(self, s: State, command: Command, held: float) -> Command:
+    def _send_command(self, s: State, command: Command, held: float) -> Command:
         """Average the velocity, and move the commanded posture on by one period."""
-        # arrays of the loop's own: what the caller does to those of the command is his
+        # copies: the caller may write into the arrays of the command
         before, sent = s.velocity, s.sent
         s.last, s.velocity, error = command, command.velocity.copy(), s.following.largest
         s.sent = moved = s.velocity
         if s.average is not None and not s.following.tripped:
             s.average = s.average.add(s.velocity, held)
             s.sent = s.average.mean
-            # joined by straight lines, as in the average; what holding the mean adds to its own line is not lost
+            # joined by straight lines, as in the average; the difference between the held mean and its line is kept
             moved = 0.5 * (before + moved + s.sent - sent)
             late = s.timing.longest
             if s.runs_on and late > s.timing.usual and s.position is not None:
-                # the mean comes to rest in as many calls, however long these last: it gives way to position limits
-                slower = self._careful(s, s.position, late).after(sent, self.limits.acceleration * held).nearest(s.sent)
+                # the mean needs a fixed number of calls to come to rest: position limits have precedence over it
+                bounds = self._safe_bounds(s, s.position, late)
+                slower = bounds.after(sent, self.limits.acceleration * held).nearest(s.sent)
                 moved, s.sent = moved - (s.sent - slower), slower
         self._advance(s, held, moved)
         own = {name: np.array(getattr(command, name)) for name in ("task_velocity", "task_part", "null_part")}
@@ -393,7 +414,7 @@ class LoopRules:
         """Move the commanded posture on by a time [s]."""
         if s.reference is None or s.position is None:
             return
-        s.following.moved(s.position, time, s.sent)
+        s.following.record_step(s.position, time, s.sent)
         s.commanded += time
         if velocity.any() or s.sent.any():
             together = s.position is s.reference and s.average is None
@@ -401,21 +422,21 @@ class LoopRules:
             s.position = s.reference if together else self.robot.integrate(s.position, time * s.sent)
 
 
-def _within(command: Command, bounds: Bounds) -> Command:
-    """Return a command within bounds."""
+def _clip_command(command: Command, bounds: Bounds) -> Command:
+    """Return a command clipped to bounds."""
     admitted = bounds.admit(command.velocity)
-    return command if admitted else _held_back(command, bounds.nearest(command.velocity))
+    return command if admitted else _replace_velocity(command, bounds.nearest(command.velocity))
 
 
-def _held_back(command: Command, velocity: np.ndarray) -> Command:
-    """A command with another velocity, within a limit of positions; its status says so where it says nothing graver."""
+def _replace_velocity(command: Command, velocity: np.ndarray) -> Command:
+    """Return a command with another velocity, for a position limit; its status changes if it was less serious."""
     status = min(command.status, Status.POSITION_LIMITED, key=tuple(Status).index)
     return command._replace(velocity=velocity, status=status)
 
 
 @final
 class ServoLoop:
-    """A controller as a real-time program calls it, once per period, e.g. at 1 kHz.
+    """A controller for a real-time program, which calls it once per period, e.g. at 1 kHz.
 
     In a program::
 
@@ -429,34 +450,34 @@ class ServoLoop:
     compared with it. Encoder noise and latency are therefore not fed back, and a servo that follows late does not make
     the loop unstable.
 
-    The arm brakes within the acceleration limits and stands while there is a reason to: input that is no posture or no
-    time (`Status.INVALID_INPUT`), a state that has not been new for `stale_after` (`Status.STALE`), a call of `stop`
-    (`Status.STOPPED`). It starts again by itself when the reason is gone. Where the measured posture says that the arm
-    is blocked (a collision, a jammed drawer, a servo that is off), it brakes without regard to the jerk limits, lets
-    go by going slowly to where it was measured when that was found, and stands until `reset` is called
-    (`Status.FOLLOWING_ERROR`); `stopped_by` says which row of the constraint was blocked, and by how much.
+    The arm brakes within the acceleration limits and stays at rest while there is a reason to: input that is no posture
+    or no time (`Status.INVALID_INPUT`), a state that has not been new for `stale_after` (`Status.STALE`), a call of
+    `stop` (`Status.STOPPED`). It starts again by itself when the reason is gone. If the measured posture shows that the
+    arm is blocked (a collision, a jammed drawer, a servo that is off), it brakes without regard to the jerk limits,
+    relaxes by moving slowly to its measured position at the time of the contact, and stays at rest until `reset` is
+    called (`Status.FOLLOWING_ERROR`); `stopped_by` names the row of the constraint that was blocked, and its deviation.
 
     Args:
         controller: A `ResolvedRateController`, or any `(q, t, dt) -> Command`.
         dt: Period [s].
-        acceleration_limit: shape (nv,) or a number [rad/s2 or m/s2]; by default those of the controller's `Limits`.
-        jerk_limit: shape (nv,) or a number [rad/s3 or m/s3]; by default those of the controller's `Limits`, or none.
+        acceleration_limit: shape (nv,) or a number [rad/s2 or m/s2]; by default the controller's `Limits` apply.
+        jerk_limit: shape (nv,) or a number [rad/s3 or m/s3]; by default the controller's `Limits` apply, or none.
             The commands are averaged over 2 max_j(a_j / jerk_j), which delays them by half of that time.
         stale_after: Time without a new state after which the arm brakes [s].
-        contact: Which forces on the hand stop the arm, and what is known of its servos (`Contact`).
-        robot: Whose limits count; the controller's own by default.
-        limits: Limits of a controller of your own; by default those of the controller, or of the robot.
+        contact: Limits of the forces on the hand, and properties of the servos (`Contact`).
+        robot: Robot whose limits count; the controller's own by default.
+        limits: Limits of a controller of your own; by default the controller's, or the robot's.
 
     Attributes:
         limits: The limits in force.
-        rules: How its state follows from the one before and a reading.
+        rules: Rules by which its state follows from the previous one and a reading.
         acceleration_limit: shape (nv,) [rad/s2 or m/s2], in force.
         jerk_limit: shape (nv,) [rad/s3 or m/s3], in force, or None.
         dt: [s].
 
     Raises:
-        ConfigurationError: A setting that is not positive, or a controller that has no robot where none is given.
-        TypeError: An argument that there is not; of one that is gone it says what to give instead.
+        ConfigurationError: A setting that is not positive, or a controller without a robot if no `robot` is passed.
+        TypeError: An unknown argument; for a removed one the message names the replacement.
 
     Example:
         >>> import manip_learn as ml
@@ -491,35 +512,35 @@ class ServoLoop:
                 raise ConfigurationError(f"{name} must be a positive number of seconds, got {value!r}")
         if not dt < stale_after:
             words = f"a state is stale after {stale_after:g} s and the period is {dt:g} s"
-            raise ConfigurationError(f"{words}: give stale_after={3.0 * dt:g}")
-        own = robot or getattr(controller, "robot", None)
-        if not isinstance(own, Robot):
+            raise ConfigurationError(f"{words}: set stale_after={3.0 * dt:g}")
+        arm = robot or getattr(controller, "robot", None)
+        if not isinstance(arm, Robot):
             raise ConfigurationError("the controller has no robot whose limits count: ServoLoop(..., robot=robot)")
-        self.robot, self.dt, self.stale_after = own, float(dt), float(stale_after)
-        within = controller if isinstance(controller, LimitedController) else BoundedController(controller, Limits(own))
-        given: Limits = limits or within.limits or Limits(own)
-        self.limits = limits = given.with_rates(acceleration_limit, jerk_limit)
+        self.robot, self.dt, self.stale_after = arm, float(dt), float(stale_after)
+        within = controller if isinstance(controller, LimitedController) else BoundedController(controller, Limits(arm))
+        base: Limits = limits or within.limits or Limits(arm)
+        self.limits = limits = base.with_rates(acceleration_limit, jerk_limit)
         self.acceleration_limit, self.jerk_limit = limits.acceleration, limits.jerk
         average = VelocityAverage.at_rest(limits, self.dt)
         bounded = within.with_limits(limits, 0.0 if average is None else 0.5 * average.time)
         self.controller = bounded if within is controller else controller
         self.contact = contact = contact or Contact()
         if contact.max_axial_force == "auto" and (force := bounded.taught_force) is not None:
-            # it may stick half as much more another time
+            # the friction of the mechanism may be higher by half another time
             self.contact = replace(contact, max_axial_force=max(contact.max_lateral_force, 1.5 * force))
         self.rules = LoopRules(bounded, limits, self.contact, self.dt, self.stale_after)
         self._state = self.rules.begin()
         self.reset()
 
     def reset(self, q: ArrayLike | None = None) -> None:
-        """Stand still and forget the past, after a following error or before another motion.
+        """Stop at once and forget the past, after a following error or before another motion.
 
         After a following error `position` first goes back to the measured posture within the velocity and acceleration
         limits, while the commanded velocity is zero and the status stays `Status.FOLLOWING_ERROR`.
 
         Args:
-            q: Posture to start from, that at which the servos hold the arm; None takes the next measured one, with
-                the noise of its encoders.
+            q: Posture to start from, at which the servos hold the arm; None takes the next measured one, with the noise
+                of its encoders.
 
         Raises:
             ConfigurationError: q has the wrong size or is not finite.
@@ -534,7 +555,7 @@ class ServoLoop:
         self.rules.controller.reset()
 
     def stop(self) -> None:
-        """Brake and stand until `start` is called."""
+        """Brake, and stay at rest until `start` is called."""
         self._is_stopped = True
 
     def start(self) -> None:
@@ -542,12 +563,15 @@ class ServoLoop:
         self._is_stopped = False
 
     def set_task(self, task: Task) -> None:
-        """Set another task, in motion: the velocity goes over into that of the new task within the acceleration limits.
+        """Set another task, in motion: the velocity changes to the new task's within the acceleration limits.
 
-        A `ManipulabilityAscent` of the rows driven so far climbs those driven from now on.
+        A `ManipulabilityAscent` of the present driven rows climbs the new driven rows from now on.
+
+        Args:
+            task: The new task.
 
         Raises:
-            ConfigurationError: The controller is no `ResolvedRateController`.
+            ConfigurationError: The controller is not a `ResolvedRateController`.
             ManipLearnError: The task does not fit the constraint.
         """
         self._exchange(task, None)
@@ -555,8 +579,11 @@ class ServoLoop:
     def set_target(self, target: ArrayLike) -> None:
         """Set another target of a `PointAttractor`, in motion, as for `set_task`.
 
+        Args:
+            target: The new target, as for `PointAttractor`.
+
         Raises:
-            ConfigurationError: The task is another one.
+            ConfigurationError: The task is not a `PointAttractor`.
             TargetError: The target does not fit the constraint.
         """
         task = None if self.rules.controller.law is None else self.rules.controller.law.task
@@ -567,45 +594,49 @@ class ServoLoop:
     def set_constraint(self, constraint: Constraint) -> None:
         """Set another constraint for the same task, in motion, as for `set_task`.
 
+        Args:
+            constraint: The new constraint, of the same robot.
+
         Raises:
-            ConfigurationError: The controller is no `ResolvedRateController`.
-            ManipLearnError: The task does not fit the constraint, or it belongs to another robot.
+            ConfigurationError: The controller is not a `ResolvedRateController`, or the constraint belongs to another
+                robot.
+            ManipLearnError: The task does not fit the constraint.
         """
         self._exchange(None, constraint)
 
     def _exchange(self, task: Task | None, constraint: Constraint | None) -> None:
-        """Go on with another task or another constraint from the posture and the velocity of now."""
-        law, state = self.rules.controller.law, self._state.copied()
+        """Continue with another task or another constraint from the present posture and velocity."""
+        law, state = self.rules.controller.law, self._state.copy()
         if law is None:
             kind = type(self.controller).__name__
             raise ConfigurationError(f"only a ResolvedRateController takes another task, not {kind}")
         if constraint is not None and constraint.robot is not law.learnt.robot:
-            raise ConfigurationError("the constraint belongs to another robot than that of the loop")
+            raise ConfigurationError("the constraint belongs to another robot than the loop")
         law = law.with_task(law.task if task is None else task, law.learnt if constraint is None else constraint)
         if state.reference is not None:
-            law(state.reference, 0.0, self.dt)  # what does not fit is refused while the old law is still there
+            law(state.reference, 0.0, self.dt)  # a misfit is refused while the old law is still in force
             law.task.reset()
         self.controller = self.rules.controller = law.with_limits(self.limits)
         state.slide, state.timing, self._state = 0.0, state.timing._replace(waited=0.0), state
 
     @property
     def state(self) -> State:
-        """All that the loop remembers."""
+        """The loop's memory."""
         return self._state
 
     @property
     def measured(self) -> Posture | None:
-        """The newest measured posture that was one; None before the first."""
+        """The newest valid measured posture; None before the first."""
         return self._state.measured
 
     @property
     def stopped_by(self) -> str | None:
-        """What last stopped the arm, in words; None where nothing has."""
+        """Reason of the last stop, in words; None if there was none."""
         return self._state.stopped_by
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What is known of the arm and of the motion, in sentences: how late it follows, which forces are seen."""
+        """Properties of the arm and of the motion, in sentences: the latency, the detectable forces."""
         return (*self._state.following.notes, *self.rules.controller.notes)
 
     @property
@@ -613,7 +644,7 @@ class ServoLoop:
         """The commanded posture at the end of the period, for a position servo; None before the first state.
 
         From one call to the next it moves by no more than the velocity limits allow in `dt`, or in the time between
-        the calls where that is shorter: after a gap, a position servo goes on from where it stands.
+        the calls where that is shorter: after a gap, a position servo continues from its own position.
         """
         sent = self._state.position
         return None if sent is None else sent.copy()
@@ -626,7 +657,7 @@ class ServoLoop:
             t: Time at which it was measured [s].
 
         Returns:
-            A command whose velocity is finite and within the limits, and whose status names what stops the arm.
+            A command whose velocity is finite and within the limits; its status names the reason if the arm stops.
         """
         try:
             return self.step(q, t)
@@ -636,10 +667,14 @@ class ServoLoop:
     def step(self, q: ArrayLike, t: float) -> Command:
         """Return the command of the next period, as `update` does; errors of controller, task and policy are raised.
 
+        Args:
+            q: Measured posture: a configuration or joint positions.
+            t: Time at which it was measured [s].
+
         Raises:
-            ManipLearnError: What the controller raises.
+            ManipLearnError: An error of the controller.
         """
-        before, self._state = self._state, self._state.copied()
+        before, self._state = self._state, self._state.copy()
         self._state.is_stopped = self._is_stopped  # which a signal may change at any time
         command = self.rules.advance(self._state, q, t)
         for note in self._state.following.notes[len(before.following.notes) :]:
@@ -649,7 +684,12 @@ class ServoLoop:
         return command
 
     def task_error(self, q: ArrayLike, t: float = 0.0) -> float:
-        """Return the distance to the task's goal along the rows [m or rad]; NaN if the controller knows none."""
+        """Return the distance to the task's goal along the rows [m or rad]; NaN if the controller does not define one.
+
+        Args:
+            q: Posture.
+            t: Time [s].
+        """
         error = getattr(self.controller, "task_error", None)
         return math.nan if error is None else float(error(q, self.rules.clock(self._state, t)))
 

@@ -1,4 +1,4 @@
-"""Simulation: a controller run in time, from one start or many, and a way along what was learnt to its end."""
+"""Simulation: a controller over time, from one start or many, and a motion along a learnt free direction to its end."""
 
 from __future__ import annotations
 
@@ -22,12 +22,6 @@ from manip_learn.errors import ConfigurationError, advice, an
 from manip_learn.recordings.load import Progress
 from manip_learn.robot.identity import RobotIdentity
 from manip_learn.robot.robot import Robot
-
-# [m or rad] that a hand may be off what holds it: the play of a drawer's rails; 5 mm press with 18 N on a stiff arm
-STRAY = 2e-3
-SLACK = 1.5  # [s] beyond the time that a way takes where nothing slows it down
-AT_REST = 0.3  # [s] that a motion is shown after its end
-_BLOCKED = {Status.STALLED, Status.POSITION_LIMITED, Status.REROUTED, Status.OUTSIDE_LIMITS, Status.NULL_SCALED}
 
 Start = Sequence[float] | Posture
 Starts = Sequence[Sequence[float]]
@@ -62,19 +56,19 @@ def simulate(
         robot: The robot; None for a system whose state is a plain vector.
         controller: A `ResolvedRateController`, or any `(q, t, dt) -> Command`.
         q0: Start posture; the rollout's postures are the same kind of vector. Or a table of starts, one per row.
-        duration: [s].
+        duration: Simulated time [s].
         dt: Step [s].
         progress: Called with a title and the completed fraction, 0 to 1.
-        **removed: `method`, which there was until 0.3.
+        **removed: `method`, an argument until 0.3.
 
     Returns:
         A `Rollout` of round(duration / dt) + 1 samples, the start included; for a table of starts a tuple of them, one
         per start.
 
     Raises:
-        ConfigurationError: The arguments are in another order; the start has the wrong size or is not finite; a step
-            or duration that is not positive.
-        TypeError: An argument that there is not.
+        ConfigurationError: The arguments are in another order; the start has the wrong size or is not finite; a step or
+            duration that is not positive.
+        TypeError: An unknown argument.
 
     Example:
         >>> import manip_learn as ml
@@ -105,19 +99,19 @@ def simulate(
     checked = q0 if robot is None else robot.checked_postures(q0) if table else robot.checked_posture(q0)
     starts = np.array(checked, dtype=np.float64, ndmin=2)
     native = controller.native if isinstance(controller, ResolvedRateController) and controller.robot is robot else None
-    rollouts, own = list[Rollout](), None if table else progress
-    # 256 of a table together: more hold memory twice, fewer leave cores idle at the end of each block
+    rollouts, inner = list[Rollout](), None if table else progress
+    # blocks of 256 starts: larger ones hold memory twice, smaller ones leave cores idle at the end of each block
     for block in np.split(starts, range(256, len(starts), 256)) if len(starts) else ():
-        whole = repeat(None) if native is None else native.rollouts(controller, block, dt, steps, own)
+        whole = repeat(None) if native is None else native.rollouts(controller, block, dt, steps, inner)
         for start, rollout in zip(block, whole, strict=False):  # None where single steps are needed
-            rollouts.append(rollout or _stepped(robot, controller, start, steps, dt, own))
+            rollouts.append(rollout or _rollout(robot, controller, start, steps, dt, inner))
             if table and progress is not None:
                 progress("simulating", len(rollouts) / len(starts))
     return tuple(rollouts) if table else rollouts[0]
 
 
-def _stepped(robot: Robot | None, controller: Any, q: Posture, n: int, dt: float, report: Progress | None) -> Rollout:
-    """Return the rollout from one start, in n steps: in a servo loop, which the library's controllers get anyhow."""
+def _rollout(robot: Robot | None, controller: Any, q: Posture, n: int, dt: float, report: Progress | None) -> Rollout:
+    """Return the rollout from one start, in n steps; the library's own controllers run in a servo loop."""
     step, task_error = (lambda q, t: controller(q, t, dt)), getattr(controller, "task_error", lambda q, t: np.nan)
     if isinstance(controller, ServoLoop):
         controller.reset(q)
@@ -136,24 +130,31 @@ def _stepped(robot: Robot | None, controller: Any, q: Posture, n: int, dt: float
 
 
 def rollout_of(robot: Robot | None, controller: Controller | ServoLoop, samples: Sequence[Sample]) -> Rollout:
-    """Return what was done, with what guided it.
+    """Return the rollout of samples, with the description of the controller.
 
     Args:
         robot: The robot, or None.
-        controller: What gave the commands.
-        samples: T of them; without a robot one at least.
+        controller: Controller of the commands.
+        samples: T samples; without a robot one at least.
     """
     time, q, commands, errors = zip(*samples, strict=True) if samples else ((),) * 4
     names = tuple(f"q{i}" for i in range(len(samples[0][2].velocity))) if robot is None else robot.joint_names
     q, u = (np.reshape(x, (len(samples), -1 if samples else len(names))) for x in (q, [c.velocity for c in commands]))
     mu, following = (np.array([getattr(c, name) for c in commands]) for name in ("manipulability", "following_error"))
-    told, identity = guided(controller), None if robot is None else RobotIdentity.of(robot)
-    told |= {"robot": identity, "following_error": following if isinstance(controller, ServoLoop) else None}
-    return Rollout(np.array(time), q, u, mu, tuple(c.status for c in commands), names, np.array(errors), **told)
+    fields, identity = guided(controller), None if robot is None else RobotIdentity.of(robot)
+    fields |= {"robot": identity, "following_error": following if isinstance(controller, ServoLoop) else None}
+    return Rollout(np.array(time), q, u, mu, tuple(c.status for c in commands), names, np.array(errors), **fields)
 
 
 def guided(controller: Controller | ServoLoop) -> dict[str, Any]:
-    """Return what guided a rollout: the frame, the target and the constraint, as far as they are known."""
+    """Return the description of a controller for a rollout: its frame, target and constraint, as far as they are known.
+
+    Args:
+        controller: A controller, or a loop with one.
+
+    Returns:
+        The fields `frame`, `target` and `constraint` of a `Rollout`; empty for a controller without a law.
+    """
     law = controller.controller if isinstance(controller, ServoLoop) else controller
     if not isinstance(law, LimitedController) or law.law is None:
         return {}
@@ -163,18 +164,18 @@ def guided(controller: Controller | ServoLoop) -> dict[str, Any]:
 @final
 @dataclass(frozen=True)
 class WayDone:
-    """What became of a way.
+    """Outcome of a motion along a free direction.
 
     Attributes:
-        wanted: The whole way [m or rad].
-        done: How far it came [m or rad], with the sign of `wanted` if it went the right way.
+        wanted: The whole distance [m or rad].
+        done: Distance covered [m or rad], with the sign of `wanted` if it went the right way.
         unit: `"m"` or `"rad"`.
         begins: Time at which the hand was at the mechanism [s]; None if it never was.
-        seconds: Time from there until the way was done [s]; None if it was not.
-        deviation: Largest distance off the held rows on the way [m or rad].
-        least_manipulability: Of the rows held and driven, on the way.
+        seconds: Time from there until the motion was complete [s]; None if it was not.
+        deviation: Largest deviation of the held rows during the motion [m or rad].
+        least_manipulability: Smallest manipulability of the rows held and driven, during the motion.
         fastest: Name of the joint that came nearest to its velocity limit, and its speed as a share of that limit.
-        stopped_by: What ended it before it was done, in words; None if it was done.
+        stopped_by: Reason for an incomplete motion, in words; None if it was complete.
     """
 
     wanted: float
@@ -189,24 +190,29 @@ class WayDone:
 
     @property
     def is_done(self) -> bool:
-        """Whether the whole way was done, to a millimetre or 0.2 degrees."""
+        """True if the whole distance was covered, to a millimetre or 0.2 degrees."""
         return self.stopped_by is None
 
     @property
     def strays(self) -> bool:
-        """Whether the hand left what holds it by more than that gives way."""
-        return self.deviation > STRAY
+        """True if the hand left its constraint by more than the play of the mechanism."""
+        return self.deviation > 2e-3  # [m or rad] play of a drawer's rails; 5 mm press with 18 N on a stiff arm
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the JSON answer: lengths in m, angles in degrees."""
+        """Return the outcome as plain data for JSON: lengths in m, angles in degrees."""
         size, unit = (1.0, "m") if self.unit == "m" else (float(np.degrees(1.0)), "deg")
-        told = vars(self) | {"wanted": size * self.wanted, "done": size * self.done, "unit": unit}
-        name, share = told.pop("fastest")
-        return told | {"fastest_joint": {"name": name, "share_of_limit": share}}
+        content = vars(self) | {"wanted": size * self.wanted, "done": size * self.done, "unit": unit}
+        name, share = content.pop("fastest")
+        return content | {"fastest_joint": {"name": name, "share_of_limit": share}}
 
 
 def leads_away(handle: Float[np.ndarray, " 3"], way: Float[np.ndarray, " 3"]) -> bool:
-    """Return whether a hand goes away from the robot's base: it pushes a drawer in, for chests face who opens them."""
+    """Return True if a hand moves away from the robot's base: it pushes a drawer in, for chests face their user.
+
+    Args:
+        handle: Position of the handle in the base frame (3,) [m].
+        way: Displacement of the hand in the base frame (3,) [m].
+    """
     out = handle * [1.0, 1.0, 0.0]
     return bool(way @ out > 0.5 * np.linalg.norm(way) * np.linalg.norm(out))  # cosine of the angle between them
 
@@ -220,59 +226,61 @@ def simulate_way(
     *,
     progress: Progress | None = None,
 ) -> tuple[Rollout, WayDone]:
-    """Simulate a controller whose task is a `FreeDirection`, until its way is done or no more of it comes.
+    """Simulate a controller whose task is a `FreeDirection`, until its motion is complete or makes no more progress.
 
     Args:
         robot: The robot.
-        controller: Its task is the way.
+        controller: Its task is the motion.
         q0: Start posture.
         dt: Step [s].
-        duration: [s]; None for as long as the way needs.
+        duration: Simulated time [s]; None for as long as the motion needs.
         progress: As for `simulate`.
 
     Returns:
-        The rollout, cut shortly after the way was done or stood still, and what became of the way, as it keeps it.
+        The rollout, cut shortly after the motion was complete or stopped, and the outcome, which is also in its `ways`.
 
     Raises:
-        ConfigurationError: Another task; or as `simulate` raises it.
+        ConfigurationError: Another task, or an error of `simulate`.
     """
     task = controller.task
     if not isinstance(task, FreeDirection):
-        raise ConfigurationError(f"the task must be a way along what is free, as motion() makes it, not {task!r}")
-    nominal = task.duration_from(robot.checked_posture(q0))
-    longest = max(4.0 * nominal, nominal + SLACK)  # [s] after which it counts as stopped
-    lengths = {min(times * (nominal + SLACK), longest) for times in (1.0, 2.0, 4.0)}
+        raise ConfigurationError(f"expected the task returned by motion(), got {task!r}")
+    nominal, slack = task.duration_from(robot.checked_posture(q0)), 1.5  # [s] slack: beyond the undisturbed duration
+    longest = max(4.0 * nominal, nominal + slack)  # [s] after which it counts as stopped
+    lengths = {min(times * (nominal + slack), longest) for times in (1.0, 2.0, 4.0)}
     for length in sorted(lengths) if duration is None else [duration]:
         rollout = simulate(robot, controller, q0, length, dt, progress=progress)
-        places, end = _places_of(task, rollout)
+        places, end = _measure_progress(task, rollout)
         if end < np.inf:
             break
     rollout = rollout.until(end if duration is None else np.inf)
-    done = _way_done(task, rollout, places[: len(rollout)], robot)
-    return replace(rollout, ways=(done.to_dict(),)), done
+    outcome = _describe_outcome(task, rollout, places[: len(rollout)], robot)
+    return replace(rollout, ways=(outcome.to_dict(),)), outcome
 
 
-def _places_of(task: FreeDirection, rollout: Rollout) -> tuple[Float[np.ndarray, " T"], float]:
-    """Return how far the way had come at each sample [m or rad], NaN before it began, and when it ended [s].
+def _measure_progress(task: FreeDirection, rollout: Rollout) -> tuple[Float[np.ndarray, " T"], float]:
+    """Return the progress of the motion at each sample [m or rad], NaN before it began, and the time of its end [s].
 
-    It ends a moment after it was done, or when the hand stood still for good; inf if it goes on.
+    It ends a moment after it is complete, or when the hand has come to a permanent stop; inf if it goes on.
     """
-    time, places, done = rollout.time, np.full(len(rollout), np.nan), DONE[task.unit]
+    time, places, tolerance = rollout.time, np.full(len(rollout), np.nan), DONE[task.unit]
     first = len(time) if task.way_begins is None else int(np.searchsorted(time, task.way_begins - 1e-9))
-    meant = np.array([task.meant(t) for t in time.tolist()])
+    goals = np.array([task.meant(t) for t in time.tolist()])
     place = 0.0
-    # a path may come back to where it was: the goal says on which part it is
-    for i, step in enumerate(np.diff(meant[first:], prepend=meant[first : first + 1]).tolist(), first):
+    # a path may cross itself: the goal determines the branch
+    for i, step in enumerate(np.diff(goals[first:], prepend=goals[first : first + 1]).tolist(), first):
         places[i] = place = task.progress_near(rollout.q[i], place + step)
-    there = np.abs(places - task.wanted) <= done
-    # 2 s without progress count as stopped, for a singular start is left within one; 1e-9 s against rounding
+    there = np.abs(places - task.wanted) <= tolerance
+    # 2 s without progress count as stopped, because a singular start is left within one; 1e-9 s against rounding
     before = np.interp(time - 2.0 + 1e-9, time, places, left=np.nan)
-    still = (np.abs(places - before) < done) & (np.abs(places - meant) > done)  # and not as shown
-    return places, next(iter([*(time[there] + AT_REST), *time[still]]), np.inf)
+    # a pause of the demonstration is no stop
+    still = (np.abs(places - before) < tolerance) & (np.abs(places - goals) > tolerance)
+    pause = 0.3  # [s] that a motion is shown after its end
+    return places, next(iter([*(time[there] + pause), *time[still]]), np.inf)
 
 
-def _way_done(task: FreeDirection, rollout: Rollout, places: Float[np.ndarray, " T"], robot: Robot) -> WayDone:
-    """Return what became of a way, by how far it had come at each sample."""
+def _describe_outcome(task: FreeDirection, rollout: Rollout, places: Float[np.ndarray, " T"], robot: Robot) -> WayDone:
+    """Return the outcome of a motion, from its progress at each sample."""
     time, on = rollout.time, np.flatnonzero(np.isfinite(places))
     there = np.abs(places - task.wanted) <= DONE[task.unit]
     shares = np.max(np.abs(rollout.u) / robot.velocity_limit, axis=0)
@@ -286,12 +294,17 @@ def _way_done(task: FreeDirection, rollout: Rollout, places: Float[np.ndarray, "
         max((task.deviation(rollout.q[i], places[i]) for i in on), default=0.0),
         float(np.min(rollout.manipulability[on if len(on) else [-1]])),
         (robot.joint_names[fastest], float(shares[fastest])),
-        None if there[-1] else _reason(task, rollout, robot),
+        None if there[-1] else _describe_stop(task, rollout, robot),
     )
 
 
 def joint_at_limit(robot: Robot, positions: Vector) -> str | None:
-    """Return the first joint that stands at a position limit, in words; None if none does."""
+    """Return the first joint at a position limit, in words; None if there is none.
+
+    Args:
+        robot: The robot.
+        positions: Joint positions (nv,) [rad or m].
+    """
     for i, name in enumerate(robot.joint_names):
         for side, limit in (("lower", robot.position_lower[i]), ("upper", robot.position_upper[i])):
             if abs(positions[i] - limit) < 2e-3:  # [rad or m] braking is exponential in the end
@@ -299,12 +312,13 @@ def joint_at_limit(robot: Robot, positions: Vector) -> str | None:
     return None
 
 
-def _reason(task: FreeDirection, rollout: Rollout, robot: Robot) -> str:
-    """What stops the arm at the end of a rollout, in words."""
+def _describe_stop(task: FreeDirection, rollout: Rollout, robot: Robot) -> str:
+    """Return the reason why the arm stops at the end of a rollout, in words."""
     last = rollout.status[-max(1, len(rollout) // 20) :]
     short = "" if task.way_begins is not None else "on its way to the mechanism: "
     joint = joint_at_limit(robot, robot.positions(rollout.q[-1]))
-    if joint is not None and _BLOCKED.intersection(last):
+    blocked = {Status.STALLED, Status.POSITION_LIMITED, Status.REROUTED, Status.OUTSIDE_LIMITS, Status.NULL_SCALED}
+    if joint is not None and blocked.intersection(last):
         return short + joint
     if {Status.SINGULAR, Status.DAMPED, Status.STALLED}.intersection(last):
         return f"{short}a singularity, or the end of the arm's reach"

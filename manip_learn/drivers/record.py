@@ -19,7 +19,7 @@ import numpy as np
 from jaxtyping import Float
 
 from manip_learn.atomic_write import check_folder, has_no_room
-from manip_learn.control.driver import Clock, ComputerClock, Driver, OrderlyEnd, Pace
+from manip_learn.control.driver import Clock, ComputerClock, Driver, Pace, Shutdown
 from manip_learn.errors import ConfigurationError, OutputError, counted
 from manip_learn.linalg import finite
 from manip_learn.recordings.saved_motion import column_line
@@ -129,7 +129,7 @@ def record(
         raise ConfigurationError("a simulated driver needs wait(), in which a period passes without a command")
     clock = clock or ComputerClock()
     patience = 0.5  # [s] in a period after which a signal interrupts the driver or a callback
-    ending = OrderlyEnd(driver, lambda: None, patience, clock)
+    ending = Shutdown(driver, lambda: None, patience, clock)
     session = _Session(driver, ending, partial(_GrowingFile, folder, name), by, motions)
     with ending:
         try:
@@ -168,7 +168,7 @@ class _Session:
     """The state of a recording: waiting for a motion, or writing one down."""
 
     def __init__(
-        self, driver: Driver, ending: OrderlyEnd, opened: Callable[[str], _GrowingFile], by: By, motions: int | None
+        self, driver: Driver, ending: Shutdown, opened: Callable[[str], _GrowingFile], by: By, motions: int | None
     ):
         self._driver, self._ending, self._opened, self._by, self._motions = driver, ending, opened, by, motions
         self._names: tuple[str, ...] = tuple(getattr(driver, "joint_names", None) or ())

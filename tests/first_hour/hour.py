@@ -147,7 +147,7 @@ def make_mistakes(hour: Hour, urdf: str) -> None:
         ("a folder that is not there", "bgas", "learn", urdf, "bgas", *FRAME),
         ("another robot's constraint", "my_arm", "control", "sawyer", "line.json"),
         ("a turn of a line", "--along", "control", urdf, "line.json", "--turn", "30"),
-        ("a way that is too long", "longer than what was shown", "control", urdf, "line.json", "--along", "9"),
+        ("a way that is too long", "longer than the demonstrations", "control", urdf, "line.json", "--along", "9"),
         ("a robot that does not exist", "sawyer", "inspect", "sayer"),
     ):
         hour.refused(title, *typed, words=words)

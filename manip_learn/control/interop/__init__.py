@@ -1,1 +1,1 @@
-"""Learnt tasks in other people's solvers."""
+"""Learnt tasks in other solvers and controllers."""

@@ -1,8 +1,8 @@
-"""A learnt task for controllers of force and stiffness: URScript, Cartesian impedance, MoveIt.
+"""A learnt task for force and impedance controllers: URScript, Cartesian impedance, MoveIt.
 
-All of them want axes, and for each whether the environment holds the hand there. Where it does, a stiff controller
-fights it with a force that grows with every error of the frame, so these axes are made compliant; along the others the
-controller must do the work, and is stiff. Axes that nobody has seen are kept as they are: stiff.
+They all need axes, and for each axis whether the environment holds the hand along it. A stiff controller would press
+along a held axis with a force that grows with every error of the frame, so held axes are compliant; along the others
+the controller must do the work, and is stiff. Unknown axes stay as they are: stiff.
 """
 
 from __future__ import annotations
@@ -29,11 +29,11 @@ from manip_learn.recordings.writers.write_motion import yaml_text
 from manip_learn.robot.robot import Robot
 from manip_learn.robot.rotations import rotation_matrix
 
-# elsewhere: along axes that are free, which the controller moves, and along those not known
+# elsewhere: along free axes, which the controller moves, and along unknown axes
 REASON = "compliant where the environment holds, so that no error of the frame turns into force; stiff elsewhere"
 
-# [m] and [rad] that a planner may leave a held axis by: half a centimetre is what a gripper's fingers give way, and
-# samplers need some room; three uncertainties at the end of the task where that is more
+# [m] and [rad] largest deviation of a planner along a held axis: a gripper's fingers yield by half a centimetre, and
+# samplers need some room. Three uncertainties at the end of the task count if they are larger
 TOLERANCE = (0.005, math.radians(2.0))
 
 
@@ -54,8 +54,8 @@ def force_mode(constraint: Constraint, q: ArrayLike) -> dict[str, Any]:
         ConstraintError: No task frame, or one seen from another moving frame.
     """
     frame, robot = _frame_and_robot(constraint, q, "force_mode takes")
-    selection = [int(held) for held in frame.along("held")]
-    # from the base of the robot's description to that of a UR controller
+    selection = [int(is_held) for is_held in frame.along("held")]
+    # from the base of the robot's description to the base of a UR controller
     base = np.linalg.inv(robot.pose(q, "base")) if "base" in robot.frame_names else np.eye(4)
     pose = pose_coordinates(base @ frame.pose).tolist()
     # of compliant axes [m/s and rad/s] the reduced speed of ISO 10218-1, and a turn that moves a tip at 1 m as fast; of
@@ -65,17 +65,21 @@ def force_mode(constraint: Constraint, q: ArrayLike) -> dict[str, Any]:
 
 
 def urscript(constraint: Constraint, q: ArrayLike) -> str:
-    """Write a program that puts a UR arm into force mode along what the task holds, and leaves the rest to its moves.
+    """Return a program that sets a UR arm to force mode along the held axes; its moves do the rest.
 
-    The frame follows the hand: with the hand's own axes, or about the axis of a hinge. Written after the script manual,
-    not run on a controller.
+    The frame follows the hand: with the hand's own axes, or about the axis of a hinge. Written from the script manual,
+    not tested on a controller.
+
+    Args:
+        constraint: The task.
+        q: Posture.
 
     Raises:
         ConstraintError: No task frame, or one seen from another moving frame.
     """
-    given, (frame, robot) = force_mode(constraint, q), _frame_and_robot(constraint, q)
+    arguments, (frame, robot) = force_mode(constraint, q), _frame_and_robot(constraint, q)
     tcp = np.linalg.inv(robot.pose(q, "tool0")) @ frame.hand if "tool0" in robot.frame_names else None
-    at = pose_coordinates(np.linalg.inv(frame.hand) @ frame.pose) if frame.turns == "hand" else given["task_frame"]
+    at = pose_coordinates(np.linalg.inv(frame.hand) @ frame.pose) if frame.turns == "hand" else arguments["task_frame"]
     follows = {"no": "position_of", "hand": "pose_trans", "axis": "turned_to"}  # functions of URScript
     moves = np.diag([0.05] * 3 + [math.radians(10.0)] * 3)[frame.along("free")]  # 5 cm or 10 degrees along each
     program = Path(__file__).with_name("force_mode.script").read_text(encoding="utf-8")
@@ -84,7 +88,7 @@ def urscript(constraint: Constraint, q: ArrayLike) -> str:
         frame=frame.frame,
         tcp="" if tcp is None else f"  set_tcp({_vector(pose_coordinates(tcp))})\n",
         at=_vector(at),
-        given=given,
+        given=arguments,
         follows=follows[frame.turns],
         step=_vector(next(iter(moves), np.zeros(6)), ".6g"),
     )
@@ -100,16 +104,19 @@ def impedance(
 ) -> dict[str, Any]:
     """Return the stiffness K and damping D of a Cartesian impedance controller, shape (6, 6), as plain numbers.
 
-    The wrench K dx - D (v, w) is that on the hand's origin along the axes of the robot's base, dx the displacement to
-    where it should be and its rotation vector [m, rad]. With M the inertia that the hand has at this posture,
-    D = 2 z M^1/2 (M^-1/2 K M^-1/2)^1/2 M^1/2, so that each mode is damped by the ratio z.
+    The wrench K dx - D (v, w) acts on the hand's origin along the axes of the robot's base, dx the displacement to its
+    goal and its rotation vector [m, rad]. With M the inertia of the hand at this posture,
+
+        D = 2 z M^1/2 (M^-1/2 K M^-1/2)^1/2 M^1/2,
+
+    so that each mode is damped by the ratio z.
 
     Args:
         constraint: The task.
         q: Posture.
-        stiff: Of axes that are free or not known [N/m, N m/rad]. At 15 N, the loop's own limit of force, the default
-            gives way by 15 mm; 50 N m/rad are as stiff for a force 0.22 m off the axis.
-        compliant: Of axes that are held [N/m, N m/rad]: by default a tenth. A drawer whose axis was 5 degrees wrong
+        stiff: Stiffness along free and unknown axes [N/m, N m/rad]. At 15 N, the loop's own limit of force, the default
+            yields by 15 mm; 50 N m/rad are as stiff for a force 0.22 m off the axis.
+        compliant: Stiffness along held axes [N/m, N m/rad]: by default a tenth. A drawer whose axis was 5 degrees wrong
             cost 1.8 N at 100 N/m, 30 N at 2,000 (measured).
         damping_ratio: z, 1 for critical damping.
 
@@ -121,7 +128,7 @@ def impedance(
     X = frame.from_hand
     K = X.T @ np.diag(values) @ X
     inertia = robot.hand_inertia(q, frame.frame)
-    # where the description has none, 1 kg and 1 kg m2: damping 2 sqrt(stiffness), as often used
+    # without masses in the description, 1 kg and 1 kg m2: damping 2 sqrt(stiffness), as often used
     root = np.real(sqrtm(np.eye(6) if inertia is None else inertia))
     back = np.linalg.inv(root)
     D = 2.0 * damping_ratio * root @ np.real(sqrtm(back @ K @ back)) @ root
@@ -132,12 +139,16 @@ def impedance(
 
 
 def moveit_constraints(constraint: Constraint, q: ArrayLike) -> str:
-    """Write the path constraints of a plan that does the task: a `moveit_msgs/Constraints` as YAML.
+    """Return the path constraints of a plan that does the task: a `moveit_msgs/Constraints` as YAML.
 
     The held point stays in a box, flat along held axes, or in one of several boxes along the circle or the helix about
     an axis; no region is given for a sphere. The link turns by no more than the tolerance about held axes. MoveIt
     measures that about the link's own axes: where the free turn lies between these, the constraint is wider than the
-    task. Written after the message definitions, not run in MoveIt.
+    task. Written from the message definitions, not tested in MoveIt.
+
+    Args:
+        constraint: The task.
+        q: Posture.
 
     Raises:
         ConstraintError: No task frame, or one seen from another moving frame.
@@ -157,22 +168,23 @@ def moveit_constraints(constraint: Constraint, q: ArrayLike) -> str:
         wide = np.minimum(TOLERANCE[1] + math.pi * np.linalg.norm(free, axis=1), math.pi)
         tolerances = {f"absolute_{n}_axis_tolerance": w for n, w in zip("xyz", wide.tolist(), strict=True)}
         orientation = _xyzw(Rotation.from_matrix(frame.hand[:3, :3]).as_quat())
-        kept = {"orientation": orientation, "parameterization": 1}  # moveit_msgs/OrientationConstraint.ROTATION_VECTOR
-        content["orientation_constraints"].append(about | kept | tolerances)
+        # parameterization 1: moveit_msgs/OrientationConstraint.ROTATION_VECTOR
+        turns = {"orientation": orientation, "parameterization": 1}
+        content["orientation_constraints"].append(about | turns | tolerances)
     return _comments(frame) + yaml_text(content, indent=1) + "\n"
 
 
 def _boxes(frame: TaskFrame) -> tuple[list[dict[str, dict[str, float]]], list[float]]:
     """Return poses and size of boxes for the held point; none if no translation is held, or on a sphere."""
-    R, origin, held = frame.pose[:3, :3], frame.pose[:3, 3], np.array(frame.along("held"))[:3]
-    lever, known = float(np.linalg.norm(frame.point - origin)), frame.mechanism
-    if not held.any() or (lever > 0.0 and (known is None or known.axis is None)):
+    R, origin, is_held = frame.pose[:3, :3], frame.pose[:3, 3], np.array(frame.along("held"))[:3]
+    lever, mechanism = float(np.linalg.norm(frame.point - origin)), frame.mechanism
+    if not is_held.any() or (lever > 0.0 and (mechanism is None or mechanism.axis is None)):
         return [], []
-    # 1 m to either side of the hand along free axes: more than a table-top arm does in one task
-    half = np.where(held, np.maximum(TOLERANCE[0], 3.0 * frame.uncertainty[:3]), 1.0)
-    poses, angles, pitch = [], np.zeros(1), (known and known.pitch) or 0.0
+    # 1 m to either side of the hand along free axes: more than a table-top arm moves in one task
+    half = np.where(is_held, np.maximum(TOLERANCE[0], 3.0 * frame.uncertainty[:3]), 1.0)
+    poses, angles, pitch = [], np.zeros(1), (mechanism and mechanism.pitch) or 0.0
     if lever > 0.0:
-        # as few boxes as have the whole circle inside: the arc of one is off its middle by half a thickness
+        # the smallest number of boxes that contain the whole circle: the arc in one deviates by half a thickness
         n = math.ceil(math.pi / (2.0 * math.acos(max(0.0, 1.0 - half[0] / lever))))
         half[1], angles = lever * math.sin(0.5 * math.pi / n), math.pi / n * np.arange(-n, n)
     for angle in angles:
@@ -182,23 +194,27 @@ def _boxes(frame: TaskFrame) -> tuple[list[dict[str, dict[str, float]]], list[fl
     return poses, (2.0 * half).tolist()
 
 
-# name on the command line -> the text of a file, from a constraint and a posture
+# name on the command line -> function that returns the text of a file, for a constraint and a posture
 WRITERS: Mapping[str, Callable[[Constraint, ArrayLike], str]] = {
     "urscript": urscript,
     "stiffness": lambda constraint, q: as_json(impedance(constraint, q)),
     "moveit": moveit_constraints,
-    # still a constraint file, with the task frame's keys beside its own
+    # still a constraint file, with the keys of the task frame added
     "json": lambda constraint, q: as_json(constraint.to_dict() | constraint.task_frame(q).to_dict()),
 }
 
 
 def as_json(described: Mapping[str, Any]) -> str:
-    """Write plain numbers and words as the text of a file."""
+    """Return plain numbers and words as the text of a JSON file.
+
+    Args:
+        described: Content of the file.
+    """
     return json.dumps(described, indent=2, allow_nan=False) + "\n"
 
 
 def _frame_and_robot(constraint: Constraint, q: ArrayLike, taker: str = "") -> tuple[TaskFrame, Robot]:
-    """Return the task frame at a posture and its robot; for a taker that needs a fixed frame no other one."""
+    """Return the task frame at a posture and its robot; refuse a moving frame if `taker` needs a fixed one."""
     frame = constraint.task_frame(q)
     if taker and frame.turns == "other frame":
         raise ConstraintError(f"{taker} a frame of the robot's base: these rows are seen from another moving frame")
@@ -206,7 +222,7 @@ def _frame_and_robot(constraint: Constraint, q: ArrayLike, taker: str = "") -> t
 
 
 def _comments(frame: TaskFrame, *more: str) -> str:
-    """Return comments for whoever opens the file: the task, and more lines."""
+    """Return comments for the reader of the file: the task, and more lines."""
     states = ", ".join(
         f"{name} {state}" + (f" (to {math.degrees(off):.2g} deg)" if state != "unknown" and off > 1e-9 else "")
         for name, state, off in zip(AXES, frame.axes, frame.uncertainty.tolist(), strict=True)

@@ -1,4 +1,4 @@
-"""Learnt tasks and null-space policies as tasks of Pink, beside all others of Pink."""
+"""Learnt tasks and null-space policies as tasks of Pink, which can be combined with all others of Pink."""
 
 from __future__ import annotations
 
@@ -57,16 +57,16 @@ class _RobotTask(_Task):
 class PinkConstraintTask(_RobotTask):
     """A(q) u = b(q, t), equation (1), for `pink.solve_ik`.
 
-    Pink solves J dq = -gain e for the displacement dq = dt u, so that J = A and e = -dt b; leave `gain` at 1, the
-    task has its own. Passed among the `constraints` it is a hard equality; among the `tasks` it is weighed by
-    `cost`. With `PinkPolicyTask` as the only task, and neither limits nor damping, Pink's velocity is ours,
-    u = A^+ b + N pi, equation (2).
+    Pink solves J dq = -gain e for the displacement dq = dt u, so that J = A and e = -dt b; leave `gain` at 1, the task
+    has its own. Passed among the `constraints` it is a hard equality; among the `tasks` it is weighted by `cost`. With
+    `PinkPolicyTask` as the only task, and neither limits nor damping, Pink's velocity is ours, u = A^+ b + N pi,
+    equation (2).
 
     Args:
         constraint: A(q). Its robot's joints are found in Pink's model by their names; Pink's may have more.
         task: b(q, t).
-        dt: Time step given to `solve_ik` [s].
-        cost: Weight of the rows, if not a hard constraint.
+        dt: Time step of `solve_ik` [s].
+        cost: Weight of the rows; it does not matter for a hard constraint.
         lm_damping: Pink's Levenberg-Marquardt damping.
 
     Attributes:
@@ -84,11 +84,19 @@ class PinkConstraintTask(_RobotTask):
         self.constraint, self.task = constraint, task
 
     def compute_error(self, configuration: Any) -> Float[np.ndarray, " s"]:
-        """Return -dt b at the configuration."""
+        """Return -dt b at a configuration, shape (s,) in the rows' units.
+
+        Args:
+            configuration: A `pink.Configuration`.
+        """
         return -self.dt * self.task.velocity(self.constraint, self._posture(configuration), self.time)
 
     def compute_jacobian(self, configuration: Any) -> Float[np.ndarray, "s nv"]:
-        """Return A in the columns of the joints that it acts on."""
+        """Return A in the columns of the joints that it acts on, shape (s, nv of Pink's model).
+
+        Args:
+            configuration: A `pink.Configuration`.
+        """
         return self._widened(configuration, self.constraint(self._posture(configuration)))
 
     def __repr__(self) -> str:
@@ -100,12 +108,12 @@ class PinkPolicyTask(_RobotTask):
     """u = pi(q, t) as a task of Pink: J is the identity on the robot's joints and e = -dt pi.
 
     With `ManipulabilityAscent` it climbs the manipulability of the learnt rows, with their exact gradient; Pink's own
-    `ManipulabilityTask` knows no dense selection of rows.
+    `ManipulabilityTask` has no dense selection of rows.
 
     Args:
         policy: pi(q, t).
-        robot: Whose joints the policy moves, found in Pink's model by their names.
-        dt: Time step given to `solve_ik` [s].
+        robot: Robot whose joints the policy moves, found in Pink's model by their names.
+        dt: Time step of `solve_ik` [s].
         cost: Weight.
 
     Attributes:
@@ -121,11 +129,19 @@ class PinkPolicyTask(_RobotTask):
         self.policy = policy
 
     def compute_error(self, configuration: Any) -> Float[np.ndarray, " n"]:
-        """Return -dt pi at the configuration."""
+        """Return -dt pi at a configuration, shape (n,) [rad or m].
+
+        Args:
+            configuration: A `pink.Configuration`.
+        """
         return -self.dt * self.policy(self._posture(configuration), self.time)
 
     def compute_jacobian(self, configuration: Any) -> Float[np.ndarray, "n nv"]:
-        """Return the identity, in the columns of the joints that the policy moves."""
+        """Return the identity, in the columns of the joints that the policy moves.
+
+        Args:
+            configuration: A `pink.Configuration`.
+        """
         return self._widened(configuration, np.eye(self.robot.nv))
 
     def __repr__(self) -> str:

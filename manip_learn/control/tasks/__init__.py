@@ -1,4 +1,4 @@
-"""Tasks: the velocity b that the constrained rows shall have."""
+"""Tasks: the desired velocity b of the constrained rows."""
 
 from manip_learn.control.tasks.motion import FreeDirection, motion
 from manip_learn.control.tasks.point_attractor import Hold, PointAttractor, Task, Track

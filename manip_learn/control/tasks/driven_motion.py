@@ -1,4 +1,4 @@
-"""A motion along what a constraint leaves free: one coordinate of a chart, driven, while the others are held."""
+"""A motion along a free direction of a constraint: one coordinate of a chart is driven, while the others are held."""
 
 from __future__ import annotations
 
@@ -25,10 +25,10 @@ from manip_learn.linalg import along_axes, complement_rows, finite, unit
 from manip_learn.robot.rotations import left_jacobian, rotation_matrix, rotation_vector, rotation_vectors
 
 Origin = Float[np.ndarray, "..."]  # a pose (4, 4), or coordinates of the features (p,)
-Direction = ArrayLike | str | None  # numbers along rows, the name of a row, or the only one that there is
+Direction = ArrayLike | str | None  # numbers along rows, the name of a row, or None for the only free direction
 ChartAt = Callable[[Origin], Any]  # origin -> chart whose first coordinate is the distance from there
-_STILL = np.zeros(3)  # of a screw that does not travel, or does not turn
-_LEVER = 0.1  # [m] at which a turn of the hand counts as a way along a path: half the length of a hand
+_STILL = np.zeros(3)  # velocity of a screw that does not travel, or does not turn
+_LEVER = 0.1  # [m] lever that converts a rotation of the hand into path length: half the length of a hand
 _DRIVEN = {  # rows that may be driven, in words
     "turn": "turn (about the axis, with the hand) [rad]",
     "slide": "slide (along the axis) [m]",
@@ -37,30 +37,35 @@ _DRIVEN = {  # rows that may be driven, in words
     "radial": "radial (away from the axis) [m]",
     "along": "along (the curve, forth, or back by a negative way) [m]",
 }
-# a held row of several -> the one that it determines
+# a held row that involves several motions -> the row that it determines
 _FIXES = {"spherical": "radial", "helical": "axial", "screw": "slide", "across-1": "radial", "across-2": "tangential"}
 _HOW = {"m": "move along", "rad": "turn about", None: "move along"}
 
 
 def way_in_words(way: float, unit: Unit) -> str:
-    """Return the size of a way, e.g. `"0.3 m"` or `"60 degrees"`."""
+    """Return the size of a distance or angle in words, e.g. `"0.3 m"` or `"60 degrees"`.
+
+    Args:
+        way: The distance [m] or angle [rad]; its sign is dropped.
+        unit: `"m"` or `"rad"`.
+    """
     return f"{abs(way):.3g} m" if unit == "m" else f"{math.degrees(abs(way)):.3g} degrees"
 
 
 @final
 @dataclass(frozen=True, eq=False)
 class DrivenMotion:
-    """A free direction, driven; the constrained rows are held at their values at the start.
+    """A driven free direction; the constrained rows are held at their values at the start.
 
     Attributes:
         held: The learnt constraint.
-        constraint: Its rows, others that stand still, and the driven one.
-        driven: shape (p,), what a unit of distance adds to the features' coordinates at the beginning.
+        constraint: Its rows, further rows that are held, and the driven one.
+        driven: shape (p,), change of the features' coordinates per unit of distance, at the beginning.
         unit: `"m"` or `"rad"`, of distances along the motion.
         origin: Posture -> the pose of the frame; coordinates of features without one.
-        chart_at: Origin -> a `Chart`, or another that does the same.
-        by_row: Whether the driven row tells the distance, rather than the chart: of features whose rows are constant.
-        around: Mechanism that leaves free more than that; its held rows are the first ones. None of others.
+        chart_at: Origin -> a `Chart`, or an object with the same methods.
+        by_row: True if the distance is measured along the driven row, rather than by the chart: for constant rows.
+        around: Mechanism with more free directions than this motion; its held rows are the first ones. None for none.
     """
 
     held: Constraint
@@ -75,23 +80,27 @@ class DrivenMotion:
 
 @final
 class Course:
-    """A driven motion from where it begins, seen along the rows of its features.
+    """A driven motion from its origin, in terms of the rows of its features.
 
     Args:
         motion: The motion.
-        origin: Where it begins.
+        origin: Its origin.
     """
 
     def __init__(self, motion: DrivenMotion, origin: Origin):
         self.motion, self.origin, self.chart = motion, origin, motion.chart_at(origin)
         self._around = None if motion.around is None else motion.around.at(origin, np.inf)
 
-    def look(self, q: ArrayLike, near: float) -> tuple[float, Float[np.ndarray, " p"], Float[np.ndarray, " p"]]:
-        """Return how far the hand is, the way ahead along the rows, and how far it is off [m or rad].
+    def evaluate(self, q: ArrayLike, near: float) -> tuple[float, Float[np.ndarray, " p"], Float[np.ndarray, " p"]]:
+        """Return the distance of the hand from the origin, the tangent of the motion and the deviation of the hand.
 
         Args:
             q: Posture.
-            near: How far it was last [m or rad]: of angles a turn apart the one next to this counts.
+            near: Previous distance [m or rad]: of angles a turn apart the nearest one counts.
+
+        Returns:
+            The distance along the motion [m or rad]; the change of the rows (p,) per unit of distance; and the
+            deviation (p,) of the rows, in their units.
         """
         here, f = self.motion.origin(q), self.motion.driven
         place = near if self.motion.by_row else float(self.chart.coordinates(here, near)[0])
@@ -102,44 +111,73 @@ class Course:
             step = float(f.dot(off)) / float(f.dot(f))
             place, off = place + step, off - step * f
         if self._around is not None:
-            held = self._around.held_error(here)
-            off[: len(held)] = held
+            held_error = self._around.held_error(here)
+            off[: len(held_error)] = held_error
         return place, ahead, off
 
     def deviation(self, q: ArrayLike, distance: float) -> float:
-        """Return how far the held rows are from where they should be after a distance [m or rad]."""
-        here, held = self.motion.origin(q), self.motion.held
+        """Return the deviation of the held rows, a norm [m or rad].
+
+        Args:
+            q: Posture.
+            distance: Distance along the motion [m or rad], at which the rows should be.
+        """
+        here, learnt = self.motion.origin(q), self.motion.held
         if self._around is not None:
             return float(np.linalg.norm(self._around.held_error(here)))
         error = self.chart.error(here, (distance,))
-        return float(np.linalg.norm(held.selection @ _weights(held, here, len(error)) @ error))
+        return float(np.linalg.norm(learnt.selection @ _weights(learnt, here, len(error)) @ error))
 
 
 def _weights(constraint: Constraint, here: Origin, size: int) -> Float[np.ndarray, "p k"]:
-    """Return the weights of the first rates of an origin in the rows of the features."""
+    """Return the weights (p, k) of the first k rates of an origin in the rows of the features."""
     features: Any = constraint.features
     return features.weights_at(here[None])[0, :, :size] if here.ndim == 2 else unit(size)
 
 
 @dataclass(frozen=True, eq=False)
 class _Line:
-    """Chart of a straight motion, r* = r0 + s f: of coordinates, or of the place of a hand whose turning is free."""
+    """Chart of a straight motion, r* = r0 + s f, of coordinates, or of the position of a hand whose orientation is
+    free.
+    """
 
     driven: Float[np.ndarray, " k"]
     begin: Origin
 
     def pose(self, s: tuple[float]) -> Origin:
+        """Return the origin at a distance.
+
+        Args:
+            s: The distance, one number [m or rad].
+        """
         out = self.begin.copy()
         _place(out)[:] += s[0] * self.driven
         return out
 
     def twist(self, _s: tuple[float], _here: Origin) -> Float[np.ndarray, "k 1"]:
+        """Return the tangent of the motion (k, 1), the same everywhere.
+
+        Args:
+            _s: Not used.
+            _here: Not used.
+        """
         return self.driven[:, None]
 
     def error(self, here: Origin, s: tuple[float]) -> Float[np.ndarray, " k"]:
+        """Return the deviation of the hand from the motion (k,), in the rows' units.
+
+        Args:
+            here: Pose, or coordinates, of the hand.
+            s: The distance, one number [m or rad].
+        """
         return _place(here) - _place(self.begin) - s[0] * self.driven
 
     def heading(self, _pose: Origin) -> Float[np.ndarray, " 6"]:
+        """Return the velocity of the position, and zeros, shape (6,).
+
+        Args:
+            _pose: Not used.
+        """
         return np.append(self.driven, _STILL)
 
 
@@ -152,13 +190,13 @@ def driven_motion(constraint: Constraint, direction: Direction, unit: Unit | Non
 
     Args:
         constraint: The learnt constraint; rows of a mechanism under their own names.
-        direction: Along the features' rows, or three numbers for the linear ones; of a mechanism the name of a row, for
-            a ball the axis of the turn in the base frame (right-handed). None where only one is free.
-        unit: `"m"` or `"rad"`: a translation or a rotation is meant; None for whatever is free.
-        straight: The other free translations stand still too; False leaves them to the null-space policy.
+        direction: Numbers along the features' rows, or three for the linear ones; for a mechanism the name of a row,
+            for a ball the axis of the rotation in the base frame (right-handed). None where only one is free.
+        unit: `"m"` for a translation, `"rad"` for a rotation; None for any free direction.
+        straight: True holds the other free translations, too; False leaves them to the null-space policy.
 
     Raises:
-        ConstraintError: Nothing is free, several directions are and none was named, or rows of a mechanism are held in
+        ConstraintError: No direction is free, several are and none was named, or rows of a mechanism are held in
             combinations.
         TargetError: The direction has the wrong size, is not finite, or is held.
     """
@@ -168,7 +206,7 @@ def driven_motion(constraint: Constraint, direction: Direction, unit: Unit | Non
     angular = np.array([unit == "rad/s" for unit in features.row_units])
     f = _direction(constraint, direction, unit, angular)
     rows = np.vstack([constraint.selection, f])
-    if straight:  # the translations beside f, beyond what is held
+    if straight:  # also hold the free translations other than f
         linear = np.eye(len(angular))[~angular]
         _, sigma, Vt = np.linalg.svd(linear - linear @ rows.T @ rows)
         rows = np.vstack([constraint.selection, Vt[: int(np.count_nonzero(sigma > 0.5))], f])
@@ -180,30 +218,37 @@ def driven_motion(constraint: Constraint, direction: Direction, unit: Unit | Non
         return DrivenMotion(*driven, features.coordinates, partial(_Line, f), by_row=True)
     v, w = np.split(f @ np.eye(6)[[AXES.index(name) for name in features.row_names]], 2)
     line = partial(_Line, v) if features.only_linear else screw(v, spin=w)
-    chart_at = partial(_in_hand, v, w) if features.own_axes else line
+    chart_at = partial(_hand_chart, v, w) if features.own_axes else line
     return DrivenMotion(*driven, features.twist.pose, chart_at, by_row=True)
 
 
 def screw(travel: np.ndarray, turn: np.ndarray = _STILL, spin: np.ndarray = _STILL, **more: Any) -> ChartAt:
-    """Return what makes the chart of one screw [m, rad per unit of distance] about an origin."""
+    """Return a function that makes the chart of one screw about an origin.
+
+    Args:
+        travel: Velocity of the point at the base's origin (3,) [m per unit of distance].
+        turn: Rotation of the mechanism (3,) [rad per unit of distance].
+        spin: Additional rotation of the hand (3,) [rad per unit of distance].
+        **more: Further arguments of `Chart`.
+    """
     return partial(Chart, travel=travel[None], turn=turn[None], spin=spin[None], **more)
 
 
-def _in_hand(v: np.ndarray, w: np.ndarray, origin: Origin) -> Chart:
+def _hand_chart(v: np.ndarray, w: np.ndarray, origin: Origin) -> Chart:
     """Return the chart of a hand that moves along its own axes, and turns about them."""
     turn = origin[:3, :3] @ w
     return screw(origin[:3, :3] @ v + np.cross(origin[:3, 3], turn), turn, is_carried=True)(origin)
 
 
-def _outwards(g: Place, origin: Origin) -> Chart:
+def _radial_chart(g: Place, origin: Origin) -> Chart:
     """Return the chart of a hand that moves away from an axis."""
     sides = across(g.axis)
     out = sides.T @ (sides @ (origin[:3, 3] - g.point))
     return screw(out / np.linalg.norm(out))(origin)
 
 
-def _only(free: Any, words: str, python: str, flag: str) -> Any:
-    """Return the direction that is free.
+def _single_direction(free: Any, words: str, python: str, flag: str) -> Any:
+    """Return the free direction.
 
     Raises:
         ConstraintError: There are several.
@@ -221,8 +266,8 @@ def _direction(
     features, p, free = constraint.features, constraint.features.n_rows, complement_rows(constraint.selection)
     names = features.row_names
     if unit is not None and direction is None:
-        # a learnt direction leaks by its uncertainty, 0.1 at most; a single twist that does both, of a hinge or a screw
-        # in the hand's axes, counts as what it mostly is
+        # a learnt direction leaks into the other unit by its uncertainty, 0.1 at most; a single twist with both, of a
+        # hinge or a screw in the hand's axes, counts as its larger part
         least = math.sqrt(0.5) if len(free) == 1 else 0.995
         U, sigma, _ = np.linalg.svd(free[:, angular == (unit == "rad")])
         free = U.T[: int(np.count_nonzero(sigma > least))] @ free
@@ -231,28 +276,28 @@ def _direction(
     basis = along_axes(free)
     words = "; ".join(sum_in_words(row, names, "+.3g", 1e-3) for row in basis)
     if direction is None:
-        return _only(basis, words, "", ",".join(f"{c:.3g}" for c in basis[0]))
-    given, place = finite(direction, p), finite(direction, 3)
+        return _single_direction(basis, words, "", ",".join(f"{c:.3g}" for c in basis[0]))
+    numbers, place = finite(direction, p), finite(direction, 3)
     if place is not None and p > 3 and set(AXES[:3]) <= set(names):
-        given = place @ [[axis == name for name in names] for axis in AXES[:3]]
-    if given is None or not given.any():
-        wanted = f"{p} finite numbers ({', '.join(names)}) that are not all zero, or 'shown' or 'back'"
-        raise TargetError(f"the direction must be {wanted}, got {direction!r}")
-    moved = free.T @ (free @ given)
-    if np.linalg.norm(moved) < 0.1 * np.linalg.norm(given):
-        raise TargetError(f"the constraint holds the direction {given.tolist()}; free is {words}")
+        numbers = place @ [[axis == name for name in names] for axis in AXES[:3]]
+    if numbers is None or not numbers.any():
+        expected = f"{p} finite numbers ({', '.join(names)}) that are not all zero, or 'shown' or 'back'"
+        raise TargetError(f"the direction must be {expected}, got {direction!r}")
+    moved = free.T @ (free @ numbers)
+    if np.linalg.norm(moved) < 0.1 * np.linalg.norm(numbers):
+        raise TargetError(f"the constraint holds the direction {numbers.tolist()}; free is {words}")
     return moved / np.linalg.norm(moved)
 
 
 def _along_row(constraint: Constraint, direction: Direction, unit: Unit | None, straight: bool) -> DrivenMotion:
-    """Return the motion along a row of a mechanism, or of a curve, that is free."""
+    """Return the motion along a free row of a mechanism, or of a curve."""
     rows: Any = constraint.features
     weights = constraint.selection.T @ constraint.selection
     if np.max(np.abs(weights - np.round(weights))) > 1e-9:
         words = f"combinations of the rows {' '.join(rows.row_names)}"
         raise ConstraintError(f"the constraint holds {words}: FreeDirection needs each held as it is, or not at all")
-    held = [name for name, weight in zip(rows.row_names, np.diag(weights), strict=True) if weight > 0.5]
-    if "spherical" in held or {"slide", "slide-1", "slide-2"} == {*held}:  # a ball turns about any axis, as a hinge
+    names_held = [name for name, weight in zip(rows.row_names, np.diag(weights), strict=True) if weight > 0.5]
+    if "spherical" in names_held or {"slide", "slide-1", "slide-2"} == {*names_held}:  # a ball turns about any axis
         turn = finite(direction, 3)
         if turn is None or not turn.any():
             axis = advice(", e.g. {}", "direction=(0, 0, 1)", "--direction 0,0,1")
@@ -260,52 +305,57 @@ def _along_row(constraint: Constraint, direction: Direction, unit: Unit | None, 
             raise (ConstraintError if direction is None else TargetError)(f"{words}{axis}; got {direction!r}")
         rows, direction, unit = rows.changed(axis=turn, pitch=0.0), None, "rad"
     g: Place = rows.geometry  # None of a curve
-    is_firm = any(name.startswith("slide") or name == "screw" for name in held)
+    is_firm = any(name.startswith("slide") or name == "screw" for name in names_held)
     names = ("along",) if g is None else ("turn", "slide") if is_firm else ("tangential", "axial", "radial")
-    rest = [name for name in names if name not in {*held, *(_FIXES.get(name) for name in held)}]
-    driven = _free_row(held, rest, direction, unit)
+    rest = [name for name in names if name not in {*names_held, *(_FIXES.get(name) for name in names_held)}]
+    driven = _free_row(names_held, rest, direction, unit)
     beside = [name for name in rest if name != driven] if straight and not is_firm else []
-    kind = None if g is None else kind_of_rows(held)
-    features = rows.with_rows((*(held if kind is None else kind.rows), *beside, driven))
+    kind = None if g is None else kind_of_rows(names_held)
+    features = rows.with_rows((*(names_held if kind is None else kind.rows), *beside, driven))
     one = np.eye(features.n_rows)
     counts: Unit = "rad" if "[rad]" in _DRIVEN[driven] else "m"
     if g is None:
         chart_at = partial(Mechanism("other", name=CURVE, curve=rows.curve, orientation="fixed").at, within=np.inf)
     elif counts == "rad":
-        pitch = g.pitch if {"screw", "helical"} & {*held} else 0.0
-        spin = _STILL if "turn" in held else g.axis  # a hand that may turn about the axis turns with it
+        pitch = g.pitch if {"screw", "helical"} & {*names_held} else 0.0
+        spin = _STILL if "turn" in names_held else g.axis  # a hand that is free to turn about the axis turns with it
         travel = pitch * g.axis + np.cross(g.point, g.axis)
         chart_at = screw(travel, g.axis, spin, is_carried=driven == "turn", centre=g.point)
     else:
-        chart_at = partial(_outwards, g) if driven == "radial" else screw(g.axis)
+        chart_at = partial(_radial_chart, g) if driven == "radial" else screw(g.axis)
     wide = None if kind is None or straight or kind.kind in ("hinge", "screw") else mechanism_of(kind, g, None)
     selected = Constraint(one, features, constraint.provenance)
     return DrivenMotion(constraint, selected, one[-1], counts, features.twist.pose, chart_at, around=wide)
 
 
 def _free_row(held: list[str], rest: list[str], direction: Direction, unit: Unit | None) -> str:
-    """Return the row to drive: the one named, or the only one of the unit that is free."""
+    """Return the row to drive: the named one, or the only free one of the unit."""
     free = [name for name in rest if unit is None or f"[{unit}]" in _DRIVEN[name]]
     if not free:
         words = f"the mechanism's rows {' '.join(held)} leave nothing free to do so"
         raise ConstraintError(f"the hand does not {_HOW[unit]} anything: {words}")
     words = "; ".join(_DRIVEN[name] for name in free)
     if direction is None:
-        return _only(free, words, repr(free[0]), free[0])
+        return _single_direction(free, words, repr(free[0]), free[0])
     if not (isinstance(direction, str) and direction in free):
         raise TargetError(f"the direction of a mechanism is the name of a row that is free: {words}; got {direction!r}")
     return direction
 
 
 def along_path(constraint: Constraint, shown: Shown, ramp: float) -> tuple[DrivenMotion, PathProfile]:
-    """Return the motion of the hand along a path that was shown on a surface, and its way in time.
+    """Return the motion of the hand along a demonstrated path on a surface, and its distance over time.
 
-    The rows are the hand's velocity along the base's axes, and those of its rotation that are held.
+    The rows are the hand's velocity along the base's axes, and the held rows of its rotation.
+
+    Args:
+        constraint: The learnt constraint.
+        shown: The demonstrated motion with its path.
+        ramp: Time in which the time of the recording accelerates to its rate [s].
     """
-    twist, known = constraint.features.twist, constraint.mechanism
-    turning = np.zeros((0, 3)) if known is None or known.orientation == "free" else np.eye(3)
-    if known is not None and known.orientation == "about-axis" and known.axis is not None:
-        turning = across(known.axis)
+    twist, mechanism = constraint.features.twist, constraint.mechanism
+    turning = np.zeros((0, 3)) if mechanism is None or mechanism.orientation == "free" else np.eye(3)
+    if mechanism is not None and mechanism.orientation == "about-axis" and mechanism.axis is not None:
+        turning = across(mechanism.axis)
     features = twist.changed(axes=AXES if len(turning) else AXES[:3])
     rows = Constraint(block_diag(np.eye(3), turning[:, : features.n_rows - 3]), features, constraint.provenance)
     poses = shown.poses
@@ -323,40 +373,65 @@ def along_path(constraint: Constraint, shown: Shown, ramp: float) -> tuple[Drive
 
 @dataclass(frozen=True, eq=False)
 class _Path:
-    """Chart of a path that was shown, by its length [m], for a hand that may be turned otherwise where it begins.
+    """Chart of a demonstrated path, by its length [m], for a hand that may have another orientation at the beginning.
 
-    A turn counts as a way at a lever, so that a hand goes on where its place rests while it turns.
+    A rotation counts as length at a lever, so that the motion continues where the position rests while the hand turns.
     """
 
     ways: Float[np.ndarray, " k"]
-    table: Float[np.ndarray, "k 12"]  # places, rotation vectors since the beginning times the lever, and their tangents
+    table: Float[np.ndarray, "k 12"]  # positions, rotation vectors from the beginning times the lever, their tangents
     begin: Float[np.ndarray, "4 4"]
 
     def _at(self, s: float) -> tuple[Float[np.ndarray, " 6"], Float[np.ndarray, " 6"]]:
-        """Return the place and the turn since the beginning, and the tangent; straight on before and after the path."""
+        """Return position and rotation from the beginning, and the tangent; straight on before and after the path."""
         row = np.array([np.interp(s, self.ways, column) for column in self.table.T])
         return row[:6] + (s - min(max(s, 0.0), float(self.ways[-1]))) * row[6:], row[6:]
 
     def pose(self, s: tuple[float]) -> Origin:
-        """Return the pose of the hand."""
+        """Return the pose of the hand (4, 4) in the base frame.
+
+        Args:
+            s: The distance along the path, one number [m].
+        """
         out, (place, _) = self.begin.copy(), self._at(s[0])
         out[:3, 3], out[:3, :3] = place[:3], rotation_matrix(place[3:] / _LEVER) @ out[:3, :3]
         return out
 
     def coordinates(self, pose: Origin, near: float) -> Float[np.ndarray, " 1"]:
-        """Return the place next to the hand, of those less than 2 cm along it from `near`: a path may cross itself."""
+        """Return the distance of the point nearest to the hand, of those less than 2 cm from `near`: a path may cross
+        itself.
+
+        Args:
+            pose: Pose of the hand (4, 4) in the base frame.
+            near: Previous distance along the path [m].
+
+        Returns:
+            shape (1,) [m].
+        """
         turned = _LEVER * rotation_vector(pose[:3, :3] @ self.begin[:3, :3].T) * bool(self.table[:, 3:6].any())
         here, some = np.append(pose[:3, 3], turned), np.flatnonzero(np.abs(self.ways - near) <= 0.02)
         if len(some):
-            # a place must be nearer by half of its distance along the path
+            # a point must be nearer by half of its distance along the path
             off = np.linalg.norm(self.table[some, :6] - here, axis=1) + 0.5 * np.abs(self.ways[some] - near)
             near = float(self.ways[some[int(np.argmin(off))]])
         place, tangent = self._at(near)
         return np.array([near + float((here - place) @ tangent)])
 
     def twist(self, s: tuple[float], _pose: Origin) -> Float[np.ndarray, "6 1"]:
+        """Return the twist of the hand (6, 1) per metre of the path, along the base's axes.
+
+        Args:
+            s: The distance along the path, one number [m].
+            _pose: Not used.
+        """
         place, tangent = self._at(s[0])
         return np.append(tangent[:3], left_jacobian(place[3:] / _LEVER) @ tangent[3:] / _LEVER)[:, None]
 
     def error(self, pose: Origin, s: tuple[float]) -> Float[np.ndarray, " 6"]:
+        """Return the deviation of the hand (6,) from the path along the base's axes [m, rad].
+
+        Args:
+            pose: Pose of the hand (4, 4) in the base frame.
+            s: The distance along the path, one number [m].
+        """
         return -pose_error(pose, self.pose(s), False)

@@ -1,4 +1,4 @@
-"""A way in time: from rest to rest with bounded acceleration, or as a path was shown."""
+"""Distance over time: from rest to rest with bounded acceleration, or with the timing of a demonstrated path."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from jaxtyping import Float
 
 @dataclass(frozen=True, eq=False)
 class MotionProfile:
-    """A distance in time with bounded acceleration and jerk.
+    """Distance over time with bounded acceleration and jerk.
 
-    The speed rises and falls as 3 x^2 - 2 x^3 over the ramp, so that the acceleration is continuous and at most
-    1.5 speed / ramp. Where the distance is too short to reach the speed, the ramps stay as long and the speed is less.
+    The speed rises and falls as 3 x^2 - 2 x^3 over the ramp, so that the acceleration is continuous and at most 1.5
+    speed / ramp. If the distance is too short to reach the speed, the ramps stay as long and the speed is lower.
 
     Attributes:
-        distance: [m or rad], negative for the other way.
-        speed: Of the middle part, positive [m/s or rad/s].
+        distance: [m or rad], negative for the opposite sense.
+        speed: Speed of the middle part, positive [m/s or rad/s].
         ramp: Time from rest to the speed [s].
     """
 
@@ -30,7 +30,7 @@ class MotionProfile:
 
     @property
     def peak(self) -> float:
-        """Largest speed that is reached [m/s or rad/s]."""
+        """Largest speed of the motion [m/s or rad/s]."""
         return min(self.speed, abs(self.distance) / self.ramp)
 
     @property
@@ -39,28 +39,34 @@ class MotionProfile:
         return abs(self.distance) / self.peak + self.ramp
 
     def at(self, t: float) -> tuple[float, float]:
-        """Return the distance covered and its rate, t [s] after the start; at rest before that and after the end."""
+        """Return the distance covered [m or rad] and its rate [m/s or rad/s]; at rest before the start and after the
+        end.
+
+        Args:
+            t: Time since the start [s].
+        """
         peak, duration = math.copysign(self.peak, self.distance), self.duration
         t = min(max(t, 0.0), duration)
         near = min(t, duration - t)  # [s] from rest
         x = min(near / self.ramp, 1.0)
-        gone = peak * (self.ramp * x**3 * (1.0 - 0.5 * x) + max(near - self.ramp, 0.0))
-        return (gone if near == t else self.distance - gone), peak * x * x * (3.0 - 2.0 * x)
+        covered = peak * (self.ramp * x**3 * (1.0 - 0.5 * x) + max(near - self.ramp, 0.0))
+        return (covered if near == t else self.distance - covered), peak * x * x * (3.0 - 2.0 * x)
 
 
 @final
 @dataclass(frozen=True, eq=False)
 class PathProfile(MotionProfile):
-    """A distance along a path in the time in which it was shown, from rest and to rest.
+    """Distance along a path with the timing of its demonstration, from rest and to rest.
 
-    The time of the recording begins and ends slowly; between, it runs as the clock does.
+    The time of the recording begins and ends slowly; in between it runs like the clock, or more slowly if `speed` is
+    less.
 
     Attributes:
-        distance: Along the path from where it begins [m].
+        distance: Along the path from its beginning [m].
         speed: Largest rate of that [m/s].
-        ramp: Time in which the time of the recording comes to its pace [s].
+        ramp: Time in which the time of the recording accelerates to its rate [s].
         times: shape (k,), of the recording, from 0 [s].
-        ways: shape (k,), along the path by then [m].
+        ways: shape (k,), distance along the path at these times [m].
     """
 
     times: Float[np.ndarray, " k"]
@@ -68,7 +74,7 @@ class PathProfile(MotionProfile):
 
     @cached_property
     def _clock(self) -> MotionProfile:
-        """Time of the recording [s], in time."""
+        """Time of the recording [s] as a profile over time."""
         steepest = float(np.max(np.diff(self.ways) / np.diff(self.times)))  # [m/s] in the recording
         return MotionProfile(float(np.interp(self.distance, self.ways, self.times)), self.speed / steepest, self.ramp)
 
@@ -83,7 +89,11 @@ class PathProfile(MotionProfile):
         return self._clock.duration
 
     def at(self, t: float) -> tuple[float, float]:
-        """Return the distance covered and its rate, t [s] after the start."""
+        """Return the distance covered [m] and its rate [m/s].
+
+        Args:
+            t: Time since the start [s].
+        """
         time, pace = self._clock.at(t)
         k = min(int(np.searchsorted(self.times, time, side="right")), len(self.times) - 1)
         slope = float((self.ways[k] - self.ways[k - 1]) / (self.times[k] - self.times[k - 1]))

@@ -1,4 +1,4 @@
-"""Tasks: the velocity b(q) of the constrained rows; at rest, towards a target, after one that moves."""
+"""Tasks: the velocity b(q) of the constrained rows; at rest, towards a target, or tracking a moving target."""
 
 from __future__ import annotations
 
@@ -19,82 +19,136 @@ from manip_learn.control.command import Vector
 from manip_learn.errors import TargetError, advice
 from manip_learn.linalg import unit
 
-# b (s,), or of one row a number, and E of `Task.error_jacobian`, where that is not A(q)
+# b (s,), or a number for a single row, and E of `Task.error_jacobian`, None where it is A(q)
 VelocityAndJacobian = tuple[Any, Float[np.ndarray, "s nv"] | None]
 
 
 class Task(ABC):
     """b(q, t) of equation (1), A(q) u = b."""
 
-    # whether an arm that limits keep from going on may leave the task's direction, to come as near as it can
+    # True if an arm that is stopped by limits may leave the task's direction, to come as near to the goal as it can
     slides: bool = True
-    # whether the task's time stands still while a `ServoLoop` does, and goes on as the commanded posture does
+    # True if the task's time stands still while a `ServoLoop` is at rest, and follows the commanded posture
     waits: bool = False
-    # default damping at a singular value of 0 [m or 1]: with less an arm that presses into the end of its reach turns
-    # to and fro before it rests (tests/test_closed_loops.py)
+    # default damping at a singular value of 0 [m or 1]: with less an arm that presses into the end of its reach
+    # oscillates before it comes to rest (tests/test_closed_loops.py)
     damping: float = 0.05
-    # whether b is the mean one of the time for which it is held: `velocity_and_jacobian` then gets that as well [s]
+    # True if b is a mean over the step for which it is held: `velocity_and_jacobian` then gets dt [s], too
     sampled: bool = False
     start: Vector | None = None  # joint positions at which it begins; None if it begins anywhere
-    is_approach: bool = False  # whether it only leads to the way of another task
-    gripper: str | None = None  # what a gripper is told meanwhile, `"close"` or `"open"`
+    is_approach: bool = False  # True if it only leads to the start of another task
+    gripper: str | None = None  # word to the gripper during the task, `"close"` or `"open"`
 
     @abstractmethod
     def velocity(self, constraint: Constraint, q: np.ndarray, t: float) -> Float[np.ndarray, " s"]:
-        """Return b along the constraint's rows, in their units per second."""
+        """Return b along the constraint's rows, shape (s,), in their units per second.
+
+        Args:
+            constraint: The constraint of the controller, see `rows`.
+            q: Posture.
+            t: Time [s].
+        """
 
     @abstractmethod
     def error(self, constraint: Constraint, q: np.ndarray, t: float) -> float:
-        """Return the distance to the goal along the constraint's rows (Euclidean norm)."""
+        """Return the distance to the goal along the constraint's rows (Euclidean norm), in their units.
+
+        Args:
+            constraint: The constraint of the controller, see `rows`.
+            q: Posture.
+            t: Time [s].
+        """
 
     def is_over(self, q: ArrayLike, t: float) -> bool:
-        """Return whether another task may go on from posture q at time t [s]; never, unless the task says otherwise."""
+        """Return True if another task may follow; never, unless the task overrides this.
+
+        Args:
+            q: Posture.
+            t: Time [s].
+        """
         return False
 
     def reset(self) -> None:  # noqa: B027  most tasks remember nothing
         """Forget the past, before another motion."""
 
     def rows(self, constraint: Constraint) -> Constraint:
-        """Return the constraint along whose rows b is given: the controller's, unless the task drives further rows."""
+        """Return the constraint along whose rows b is given: the controller's, unless the task drives further rows.
+
+        Args:
+            constraint: The learnt constraint.
+        """
         return constraint
 
     def driven_rows(self, constraint: Constraint) -> Float[np.ndarray, "d s"]:
-        """Return orthonormal combinations of the rows that are driven; what is across them is held, and gives way last.
+        """Return orthonormal combinations of the rows that are driven; the rest of the rows is held, and gives way
+        last.
 
-        All rows, unless the task says otherwise. Asked for after `velocity_and_jacobian`, for the same instant.
+        By default all rows are driven. It is called after `velocity_and_jacobian`, for the same instant.
+
+        Args:
+            constraint: The constraint of the controller, see `rows`.
+
+        Returns:
+            Combinations (d, s) of the rows.
         """
         return unit(constraint.n_constraints)
 
     def error_jacobian(self, constraint: Constraint, q: np.ndarray, t: float) -> Float[np.ndarray, "s nv"] | None:
         """Return E with d/dt (error along the rows) = -E u for a goal at rest; None where E = A(q), as for positions.
 
-        With E in the place of A in u = E^+ b + N pi the error decays as the task asks, and motion in the null space of
-        E leaves it alone. The rate of an orientation error is not the angular velocity; at a target that is a pose
-        E = A again (see `FeatureMap.error_jacobian`).
+        With E instead of A in u = E^+ b + N pi the error decays at the rate of the task, and motion in the null space
+        of E does not change it. The rate of an orientation error is not the angular velocity; at a target that is a
+        pose E = A again (see `FeatureMap.error_jacobian`).
+
+        Args:
+            constraint: The constraint of the controller, see `rows`.
+            q: Posture.
+            t: Time [s].
+
+        Returns:
+            shape (s, nv), or None.
         """
         return None
 
     def goal(self) -> Float[np.ndarray, "..."] | None:
-        """Return where the frame is to arrive: numbers for features' rows (p,) or the constraint's (s,), or a pose.
+        """Return the target of the frame: numbers for features' rows (p,) or the constraint's (s,), or a pose.
 
-        None where there is no such place, or where it depends on a start that is not known yet.
+        None if there is no target, or if it depends on a start that is not known yet.
         """
         return None
 
     def velocity_and_jacobian(self, constraint: Constraint, q: np.ndarray, t: float) -> VelocityAndJacobian:
-        """Return b (s,) and E together, cheaper than one by one where a child shares work."""
+        """Return b (s,) and E together, cheaper than one by one where a subclass shares work.
+
+        Args:
+            constraint: The constraint of the controller, see `rows`.
+            q: Posture.
+            t: Time [s].
+        """
         return self.velocity(constraint, q, t), self.error_jacobian(constraint, q, t)
 
 
-class OneLook(Task):
-    """A task whose child defines `velocity_and_jacobian`, which says all."""
+class SinglePassTask(Task):
+    """A task whose subclass defines only `velocity_and_jacobian`."""
 
     def velocity(self, constraint: Constraint, q: np.ndarray, t: float) -> Float[np.ndarray, " s"]:
-        """Return b along the rows, in their units per second."""
+        """Return b along the rows, shape (s,), in their units per second.
+
+        Args:
+            constraint: The constraint of the controller, see `rows`.
+            q: Posture.
+            t: Time [s].
+        """
         return self.velocity_and_jacobian(constraint, q, t)[0]
 
     def error_jacobian(self, constraint: Constraint, q: np.ndarray, t: float) -> Float[np.ndarray, "s nv"] | None:
-        """Return E with d/dt (error along the rows) = -E u for a goal at rest; None where E = A(q) (see `Task`)."""
+        """Return E with d/dt (error along the rows) = -E u for a goal at rest; None where E = A(q) (see `Task`).
+
+        Args:
+            constraint: The constraint of the controller, see `rows`.
+            q: Posture.
+            t: Time [s].
+        """
         return self.velocity_and_jacobian(constraint, q, t)[1]
 
 
@@ -103,15 +157,31 @@ class Hold(Task):
     """b = 0: nothing moves along the constrained rows, all motion is in the null space."""
 
     def velocity(self, constraint: Constraint, q: np.ndarray, t: float) -> Float[np.ndarray, " s"]:
-        """Return zeros, shape (s,)."""
+        """Return zeros, shape (s,).
+
+        Args:
+            constraint: The constraint, for the number of its rows.
+            q: Not used.
+            t: Not used.
+        """
         return np.zeros(constraint.n_constraints)
 
     def driven_rows(self, constraint: Constraint) -> Float[np.ndarray, "d s"]:
-        """Return none: all of them are held."""
+        """Return no rows, shape (0, s): all of them are held.
+
+        Args:
+            constraint: The constraint, for the number of its rows.
+        """
         return unit(constraint.n_constraints)[:0]
 
     def error(self, constraint: Constraint, q: np.ndarray, t: float) -> float:
-        """Return 0: there is no goal to reach."""
+        """Return 0: there is no goal to reach.
+
+        Args:
+            constraint: Not used.
+            q: Not used.
+            t: Not used.
+        """
         return 0.0
 
     def __repr__(self) -> str:
@@ -125,11 +195,11 @@ class PointAttractor(Task):
 
     Args:
         target: r*. As many numbers as the features have rows (e.g. x, y, z of the tip in the base frame [m]; rotations
-            as a rotation vector [rad]); Lambda picks its part of them. Or a 4 x 4 pose of the frame. Or one
-            number per constrained row, along the rows of Lambda, where their number differs from that of the features.
+            as a rotation vector [rad]); Lambda selects its part of them. Or a 4 x 4 pose of the frame. Or one number
+            per constrained row, along the rows of Lambda, if the features have another number of rows.
         gain: Rate [1/s].
         max_speed: Largest norm of b [m/s or rad/s]; None for no bound.
-        driven: `"held"` drives the rows of Lambda, as the paper does, and leaves the tip's place along the others to
+        driven: `"held"` drives the rows of Lambda, as the paper does, and leaves the tip's position along the others to
             the null-space policy; `"all"` drives every row of the features, so that the tip comes to the point.
 
     Raises:
@@ -149,10 +219,10 @@ class PointAttractor(Task):
     gain: float = 1.0
     max_speed: float | None = None
     driven: Literal["held", "all"] = field(default="held", kw_only=True)
-    _all: ClassVar[Constraint | None] = None  # the rows of all features, once they were asked for
+    _all: ClassVar[Constraint | None] = None  # constraint of all rows of the features, made at the first use
 
     def __post_init__(self) -> None:
-        """Check the target, and keep it as numbers that cannot be changed: a loop may be running it."""
+        """Check the target, and store it as a read-only array: a loop may be running it."""
         if self.driven not in ("held", "all"):
             raise TargetError(f"driven must be 'held' or 'all', not {self.driven!r}")
         try:
@@ -165,11 +235,14 @@ class PointAttractor(Task):
         object.__setattr__(self, "target", numbers)
 
     def _fits(self, features: FeatureMap) -> bool:
-        """Whether the target is a pose, or a number for each row of the features."""
+        """Return True if the target is a pose, or has a number for each row of the features."""
         return self.target.shape in ((features.n_rows,), (4, 4))
 
     def rows(self, constraint: Constraint) -> Constraint:
-        """Return the constraint's rows, or all rows of its features.
+        """Return the constraint's rows, or all rows of its features for `driven="all"`.
+
+        Args:
+            constraint: The learnt constraint.
 
         Raises:
             TargetError: All rows are to be driven, and the target has not a number for each of them.
@@ -178,16 +251,20 @@ class PointAttractor(Task):
             return constraint
         features, names = constraint.features, constraint.features.row_names
         if not self._fits(features) or isinstance(features, WeighedVelocity):
-            held = advice("a number per row of Lambda needs {}", "driven='held'", "--rows held")
-            wanted = f"{len(names)} numbers ({', '.join(names)})"
-            raise TargetError(f"the target must have {wanted}, got shape {self.target.shape}: {held}")
+            how_held = advice("a number per row of Lambda needs {}", "driven='held'", "--rows held")
+            expected = f"{len(names)} numbers ({', '.join(names)})"
+            raise TargetError(f"the target must have {expected}, got shape {self.target.shape}: {how_held}")
         if (every := self._all) is None or every.features is not features:
             every = Constraint(np.eye(len(names)), features, constraint.provenance)
             object.__setattr__(self, "_all", every)
         return every  # the same one at each call, so that a policy that climbs it shares the controller's work
 
     def displacement(self, constraint: Constraint, q: ArrayLike) -> Float[np.ndarray, " s"]:
-        """Return Lambda (r* - r(q)).
+        """Return Lambda (r* - r(q)), shape (s,), in the rows' units.
+
+        Args:
+            constraint: The constraint of the controller, see `rows`.
+            q: Posture.
 
         Raises:
             TargetError: The target has the wrong size.
@@ -195,7 +272,7 @@ class PointAttractor(Task):
         return self._toward(constraint, q)[0]
 
     def _toward(self, constraint: Constraint, q: ArrayLike) -> VelocityAndJacobian:
-        """The displacement, and E with d/dt displacement = -E u; None where E = A(q) (see `Task`)."""
+        """Return the displacement, and E with d/dt displacement = -E u; None where E = A(q) (see `Task`)."""
         features, s, rows = constraint.features, constraint.n_constraints, constraint.selection
         if self._fits(features):
             error, E = features.error_and_jacobian(self.target, q)
@@ -203,9 +280,9 @@ class PointAttractor(Task):
         elif self.target.shape == (s,):
             way, E = self.target - rows @ features.coordinates(q), features.coordinates_jacobian(q)
         else:
-            wanted = f"{features.n_rows} numbers ({', '.join(features.row_names)})"
-            wanted += "" if s == features.n_rows else f", or {s}: one per row of the constraint"
-            raise TargetError(f"the target must have {wanted}; got shape {self.target.shape}")
+            expected = f"{features.n_rows} numbers ({', '.join(features.row_names)})"
+            expected += "" if s == features.n_rows else f", or {s}: one per row of the constraint"
+            raise TargetError(f"the target must have {expected}; got shape {self.target.shape}")
         return way, None if E is None else rows.dot(E)
 
     def goal(self) -> Float[np.ndarray, "..."] | None:
@@ -213,16 +290,34 @@ class PointAttractor(Task):
         return self.target
 
     def error_jacobian(self, constraint: Constraint, q: np.ndarray, t: float) -> Float[np.ndarray, "s nv"] | None:
-        """Return E with d/dt displacement = -E u; None where E = A(q) (see `Task`)."""
+        """Return E with d/dt displacement = -E u; None where E = A(q) (see `Task`).
+
+        Args:
+            constraint: The constraint of the controller, see `rows`.
+            q: Posture.
+            t: Not used.
+        """
         return self._toward(constraint, q)[1]
 
     def velocity(self, constraint: Constraint, q: np.ndarray, t: float) -> Float[np.ndarray, " s"]:
-        """Return gain * displacement, scaled down to max_speed."""
+        """Return gain * displacement, shape (s,), scaled down to max_speed.
+
+        Args:
+            constraint: The constraint of the controller, see `rows`.
+            q: Posture.
+            t: Not used.
+        """
         return self._attraction(self.displacement(constraint, q))
 
     def velocity_and_jacobian(self, constraint: Constraint, q: np.ndarray, t: float) -> VelocityAndJacobian:
-        """Return b and E from one look at the pose."""
-        if type(self) is not PointAttractor:  # a child's own velocity counts
+        """Return b and E from a single evaluation of the pose.
+
+        Args:
+            constraint: The constraint of the controller, see `rows`.
+            q: Posture.
+            t: Not used.
+        """
+        if type(self) is not PointAttractor:  # a subclass may override velocity()
             return super().velocity_and_jacobian(constraint, q, t)
         displacement, E = self._toward(constraint, q)
         return self._attraction(displacement), E
@@ -234,7 +329,13 @@ class PointAttractor(Task):
         return b
 
     def error(self, constraint: Constraint, q: np.ndarray, t: float) -> float:
-        """Return the distance to the target along the constrained rows [m or rad]."""
+        """Return the distance to the target along the constrained rows [m or rad].
+
+        Args:
+            constraint: The constraint of the controller, see `rows`.
+            q: Posture.
+            t: Not used.
+        """
         return float(np.linalg.norm(self.displacement(constraint, q)))
 
     def __repr__(self) -> str:
@@ -242,15 +343,15 @@ class PointAttractor(Task):
 
 
 @final
-class Track(OneLook):
-    """b = gain * Lambda (r*(t) - r(q)) + Lambda dr*/dt: a target that moves, without lagging behind it.
+class Track(SinglePassTask):
+    """b = gain * Lambda (r*(t) - r(q)) + Lambda dr*/dt: a moving target, followed without lag.
 
-    A controller holds b for its period dt. The target's own velocity is therefore the mean one of that time: that in
-    its middle, or, where no rate is given, the way of the target in dt. `velocity` alone knows no dt.
+    A controller holds b for its period dt. The target's own velocity is therefore the mean one of that time: the rate
+    at its middle, or, if no rate is given, the displacement of the target in dt. `velocity` alone has no dt.
 
     Args:
         target: t [s] -> r*(t), numbers or a 4 x 4 pose, as for `PointAttractor`.
-        rate: t -> dr*/dt along the rows of the features, shape (p,); None takes it from the target.
+        rate: t -> dr*/dt along the rows of the features, shape (p,); None derives it from the target.
         gain: Rate [1/s].
 
     Example:
@@ -276,7 +377,14 @@ class Track(OneLook):
     def velocity_and_jacobian(
         self, constraint: Constraint, q: np.ndarray, t: float, dt: float = 0.0
     ) -> VelocityAndJacobian:
-        """Return b for the time dt [s] that begins at t, and E."""
+        """Return b for a step, and E.
+
+        Args:
+            constraint: The constraint of the controller, see `rows`.
+            q: Posture.
+            t: Time at which the step begins [s].
+            dt: Length of the step [s]; 0 leaves out the target's velocity unless `rate` is given.
+        """
         ahead, E = PointAttractor(self._target(t))._toward(constraint, q)
         b = self.gain * ahead
         if self._rate is not None:
@@ -286,7 +394,13 @@ class Track(OneLook):
         return b, E
 
     def error(self, constraint: Constraint, q: np.ndarray, t: float) -> float:
-        """Return the distance to the target's position at time t."""
+        """Return the distance to the target at a time along the constrained rows [m or rad].
+
+        Args:
+            constraint: The constraint of the controller, see `rows`.
+            q: Posture.
+            t: Time [s].
+        """
         return PointAttractor(self._target(t)).error(constraint, q, t)
 
     def __repr__(self) -> str:

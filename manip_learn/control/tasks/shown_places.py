@@ -1,4 +1,4 @@
-"""Where a task was shown, and which way, as a motion along it sees that."""
+"""Start poses and sense of the demonstrations, relative to a motion along a free direction."""
 
 from __future__ import annotations
 
@@ -20,9 +20,12 @@ from manip_learn.robot.rotations import angles_between, rotation_vector
 
 
 def shown_sense(shown: Shown | None, motion: DrivenMotion, *, of_most: bool = False) -> float:
-    """Return 1 where a task was shown to the positive side of a motion, -1 to the other; 0 if that is not known.
+    """Return 1 if the demonstrations went to the positive side of a motion, -1 if to the other; 0 if that is not known.
 
-    With `of_most`, the side of most recordings counts where they went to both.
+    Args:
+        shown: The demonstrated motions; None for none.
+        motion: The motion along a free direction.
+        of_most: If demonstrations went to both sides, the side of most of them counts.
     """
     if shown is None or not shown.is_way or not (shown.one_way or of_most) or shown.unit != motion.unit:
         return 0.0
@@ -32,92 +35,111 @@ def shown_sense(shown: Shown | None, motion: DrivenMotion, *, of_most: bool = Fa
 
 
 def straight(start: Origin, end: Origin) -> Chart:
-    """Return the chart of a hand that goes straight from one pose (0) to another (1), and turns evenly meanwhile."""
+    """Return the chart of a hand that moves straight from one pose (0) to another (1), and turns evenly meanwhile.
+
+    Args:
+        start: Pose of the hand (4, 4) in the base frame.
+        end: Pose of the hand (4, 4) in the base frame.
+    """
     return screw(end[:3, 3] - start[:3, 3], spin=rotation_vector(end[:3, :3] @ start[:3, :3].T))(start)
 
 
 @final
-class ShownPlaces:
-    """Where a task was shown, as a motion along it sees that.
+class DemonstratedStarts:
+    """Start poses of the demonstrations, relative to a motion along a free direction.
 
-    A firm grip is taken as in the contact at which the hand is, else as in the typical one; a path as it began.
+    A firm grip is taken as in the contact at which the hand is, else as in the typical one; a path as it
+    began.
 
     Args:
-        mechanism: What holds the hand.
-        shown: What was shown.
-        motion: The motion along what is free.
-        anew: Whether the hand does as was shown: it goes to where contacts began even if it is on the mechanism
-            already, and along the path that was shown on a surface.
+        mechanism: Mechanism that constrains the hand.
+        shown: The demonstrated motions.
+        motion: The motion along a free direction.
+        repeats: True if the hand repeats the demonstration: it moves to a start pose of the contacts even if it is on
+            the mechanism already, and follows the demonstrated path on a surface.
 
     Attributes:
-        sense: Of the way shown along the motion, 1 or -1.
+        sense: Sense of the demonstrations along the motion, 1 or -1.
     """
 
-    def __init__(self, mechanism: Mechanism | None, shown: Shown, motion: DrivenMotion, anew: bool):
+    def __init__(self, mechanism: Mechanism | None, shown: Shown, motion: DrivenMotion, repeats: bool):
         self._shown = replace(shown, mechanism=shown.mechanism.by_place())
-        self._motion, self._anew = motion, anew
+        self._motion, self._repeats = motion, repeats
         self.sense = shown_sense(shown, motion, of_most=True) or 1.0
         rows: Any = motion.constraint.features
         turning = motion.constraint.selection @ rows.weights_at(shown.chart.grasp[None])[0, :, 3:]
-        # the hand is turned as it was shown, where a firm grip holds that; one that is kept by habit is free
+        # a firm grip fixes the demonstrated orientation; an orientation kept by habit is free
         is_firm = mechanism is not None and mechanism.orientation != "free"
-        self._is_turned = is_firm and bool(np.any(np.abs(turning) > 1e-3))  # a learnt row of the place leaks less
-        is_apart = (shown.hold is None or self._is_turned) and len(shown.grasps) > 0 and (shown.is_way or not anew)
-        self._begins = shown.grasps if is_apart else shown.chart.grasp[None]
+        self._is_turned = is_firm and bool(np.any(np.abs(turning) > 1e-3))  # learnt rows of positions leak less
+        is_apart = (shown.hold is None or self._is_turned) and len(shown.grasps) > 0 and (shown.is_way or not repeats)
+        self._start_poses = shown.grasps if is_apart else shown.chart.grasp[None]
         lever = 1.0 if motion.unit == "m" or mechanism is None else max(mechanism.radius or 0.0, GRIP)
-        self._room = GRIP / lever  # how far from what was shown a hand may begin, along the way [m or rad]
+        self._room = GRIP / lever  # largest distance of the start from the demonstrated motion, along it [m or rad]
 
-    def only(self, grasp: Origin) -> ShownPlaces:
-        """Return these places for a hand that takes hold at one pose."""
+    def with_grasp(self, grasp: Origin) -> DemonstratedStarts:
+        """Return these start poses, replaced by a single grasp pose.
+
+        Args:
+            grasp: Pose of the hand (4, 4) in the base frame.
+        """
         other = copy.copy(self)
         vars(other).pop("_ahead", None)
-        other._begins, other._anew = grasp[None], True
+        other._start_poses, other._repeats = grasp[None], True
         return other
 
     @cached_property
     def _ahead(self) -> Float[np.ndarray, "n k"]:
-        """How far along what is free each beginning is from the first [m or rad]."""
-        return np.vstack([self._shown.along(np.array([self._begins[0], begin]))[1] for begin in self._begins])
+        """Distance of each start pose from the first one along the free directions [m or rad]."""
+        return np.vstack([self._shown.along(np.array([self._start_poses[0], begin]))[1] for begin in self._start_poses])
 
-    def apart(self, one: Origin, other: Origin) -> float:
-        """Return the distance of two origins [m]; where orientation counts, an angle at the lever of a hand."""
+    def pose_distance(self, one: Origin, other: Origin) -> float:
+        """Return the distance of two poses [m]; if orientation counts, an angle counts at the lever of a hand.
+
+        Args:
+            one: Pose of the hand (4, 4).
+            other: Pose of the hand (4, 4).
+        """
         turned = float(angles_between(one[:3, :3], other[None, :3, :3])[0]) if self._is_turned else 0.0
-        # at 0.2 m between a hand and what it turns, an approach of 0.25 m/s turns by 1.25 rad/s at most
+        # with a lever of 0.2 m, an approach at 0.25 m/s turns by 1.25 rad/s at most
         return max(float(np.linalg.norm(other[:3, 3] - one[:3, 3])), 0.2 * turned)
 
     def nearest(self, here: Origin, distance: float) -> tuple[Origin, float]:
-        """Return the origin from which the way begins, and how far that is [m].
+        """Return the pose at which the motion begins, and the distance of the hand from it [m].
 
-        That is where contacts began, of a way back its end; of a hand that is on the mechanism already its own, of one
-        that begins anew only if it is where contacts began. Where contacts began at different places, it is the
-        nearest of them from which the way stays within what was shown.
+        It is a start pose of the contacts; for a motion back, its end. If the hand is on the mechanism already, it is
+        the hand's own pose; if the hand repeats the demonstration, only if it is near a start pose. If the contacts
+        began at different poses, it is the nearest of them from which the motion stays within the demonstrated range.
+
+        Args:
+            here: Pose of the hand (4, 4) in the base frame.
+            distance: Distance of the motion, signed [m or rad].
         """
-        if self._is_on_the_way(here):
+        if self._is_on_motion(here):
             return here, 0.0
-        begins, way = self._begins.copy(), self.sense * distance
+        begins, way = self._start_poses.copy(), self.sense * distance
         if len(begins) > 1 and self._shown.is_way and not self._is_turned:
             ends = self._ahead[:, 0] - self._ahead[:, 0].min() + abs(way)
             begins = begins[ends <= max(self._shown.span, ends.min()) + self._room]
         if not self._is_turned:
             begins[:, :3, :3] = here[:3, :3]
-        elif len(begins) > 1 and min(self.apart(here, begin) for begin in begins) > GRIP:  # then the typical one
-            begins = self._shown.chart.grasp[None]
-        if way < 0.0:  # back from where one of them ended
+        elif len(begins) > 1 and min(self.pose_distance(here, begin) for begin in begins) > GRIP:
+            begins = self._shown.chart.grasp[None]  # the typical one
+        if way < 0.0:  # back from the end of one of them
             begins = [self._motion.chart_at(begin).pose((-distance,)) for begin in begins]
-        origin = min(begins, key=lambda begin: self.apart(here, begin))
-        return origin, self.apart(here, origin)
+        origin = min(begins, key=lambda begin: self.pose_distance(here, begin))
+        return origin, self.pose_distance(here, origin)
 
-    def _is_on_the_way(self, here: Origin) -> bool:
-        """Return True if the hand is where a way was shown, or between such places, and may begin there."""
-        if self._anew and (self._is_turned or len(self._begins) == 1):
+    def _is_on_motion(self, here: Origin) -> bool:
+        """Return True if the hand is on a demonstrated motion, or between such motions, and may begin there."""
+        if self._repeats and (self._is_turned or len(self._start_poses) == 1):
             return False
-        hand = self._begins[0].copy()
+        hand = self._start_poses[0].copy()
         hand[:3, 3] = here[:3, 3]
-        far, path = self._shown.along(np.array([self._begins[0], hand]))[1], self._shown.path * (not self._anew)
+        far, path = self._shown.along(np.array([self._start_poses[0], hand]))[1], self._shown.path * (not self._repeats)
         low, high = self._ahead.min(0) + path.min(0), self._ahead.max(0) + path.max(0)
-        # both taken back along the way: is the hand where contacts began, or between them?
-        goal, back = self._shown.place_before(hand, far), zip(self._begins, self._ahead, strict=True)
-        begun = np.array([self._shown.place_before(begin, ahead) for begin, ahead in back])
-        weights = nnls(np.vstack([begun.T, np.ones(len(begun))]), np.append(goal, 1.0))[0]
-        off = np.linalg.norm(weights @ begun / max(weights.sum(), GRIP) - goal)
+        # moved back along the motion: is the hand at a start pose, or between start poses?
+        goal, back = self._shown.place_before(hand, far), zip(self._start_poses, self._ahead, strict=True)
+        start_places = np.array([self._shown.place_before(begin, ahead) for begin, ahead in back])
+        weights = nnls(np.vstack([start_places.T, np.ones(len(start_places))]), np.append(goal, 1.0))[0]
+        off = np.linalg.norm(weights @ start_places / max(weights.sum(), GRIP) - goal)
         return bool(np.all((low - self._room <= far) & (far <= high + self._room)) and off <= GRIP)
