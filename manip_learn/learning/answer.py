@@ -1,4 +1,4 @@
-"""Constraints from hypotheses that explain the recordings, each with its evidence and its doubts."""
+"""Constraints from hypotheses that explain the recordings, each with its evidence and warnings."""
 
 from __future__ import annotations
 
@@ -42,10 +42,8 @@ from manip_learn.learning.table import (
 from manip_learn.linalg import orthonormal_rows, row_space_angle
 from manip_learn.recordings.load import Progress
 
-ADVISED = ("weak-gap", "no-evidence", "no-freedom")  # codes of refusals that other recordings may lift
 DISAGREES = "does not agree with the other recordings"
 IN_ONE_ONLY = "appears in one recording only"
-FEW_JOINTS_AT_ONCE = 1.6  # as of a hand-guided arm with friction
 
 
 Refusal = NotIdentifiableError | RecordingError
@@ -70,13 +68,15 @@ class Answer:
         stretches: Stretches in which the rows are constrained.
         levels, gaps: Sizes and gaps of `levels_on`.
         unexplained, held_out: Share of the energy that violates the rows, and the same on held-out recordings.
-        fit, errors, uncertainty: Fit by displacements, draws of its error, and parts of the uncertainty [deg].
+        evidence: `Evidence` of the recombination test, for held rows; None otherwise.
+        fit: `RowFit` by displacements, for held rows; None otherwise.
+        errors, uncertainty: Draws of the error of the last fit, and parts of the uncertainty [deg].
         placed, shape: Mechanism with its place; shape that replaces the rows where no constant rows fit.
-        misfit: See `uncertainty.misfit`.
+        misfit: Result of `fit.misfit`.
         over_noise: Residual of the rows over the noise of recorded positions.
         firm: Fit of rows of the whole hand, for a firm grip.
         mechanism: Mechanism, or None.
-        uncertainty_deg: Error of the rows that is not exceeded in 68 % of cases [deg], in the places of the hand.
+        uncertainty_deg: Error of the rows that is not exceeded in 68 % of cases [deg], at the positions of the hand.
         contradiction: Contradiction by its own tests, in words; empty if there is none.
         clear: True if evidence and gap are clear.
         whole, asked: All rows that constrain the hand, and the rows in the requested axes.
@@ -90,7 +90,7 @@ class Answer:
     unexplained: float = 0.0
     held_out: float = float("nan")
     estimator: str = "null-space"
-    evidence: Any = None  # Evidence, and RowFit: of rows that are held
+    evidence: Any = None
     fit: Any = None
     errors: Errors | None = None
     uncertainty: dict[str, float | None] = field(default_factory=dict)
@@ -114,7 +114,7 @@ class Answer:
         if self.evidence is None:
             return
         best, s = max(self.gaps, key=lambda s: self.gaps[s], default=self.s), self.evidence.n_rows
-        if self.firm is not None:  # more rows than were asked of the tests
+        if self.firm is not None:  # it has more rows than were tested
             pass
         elif s < self.s:
             self.contradiction = f"the recombination test supports {s}: {self.evidence.sentence()}"
@@ -131,9 +131,9 @@ class Found:
     Attributes:
         answers: Answers, clear ones first.
         free: Stretches of free motion.
-        unlearnt: Stretches from which nothing is learnt, with the reason.
+        unlearnt: Stretches that are not used, with the reason.
         odd: Number of a recording that does not agree -> the difference in words.
-        warnings: Doubts about all recordings.
+        warnings: Warnings about all recordings.
     """
 
     answers: list[Answer]
@@ -154,14 +154,25 @@ def _moved_on_purpose(found: Imposed) -> Found:
 
 
 def advised(refusal: Refusal, table: Table, settings: Settings, facts: Sequence[str]) -> Refusal:
-    """Return the refusal with advice: the likeliest remedies first, then the reason and the facts."""
+    """Return the refusal with advice: the likeliest remedies first, then the reason and the facts.
+
+    Args:
+        refusal: Refusal without advice.
+        table: Samples.
+        settings: Settings of the fit.
+        facts: Facts about the recordings, in sentences.
+
+    Returns:
+        Refusal with the two likeliest remedies in its message; unchanged for a `RecordingError`.
+    """
+    codes = ("weak-gap", "no-evidence", "no-freedom")  # other recordings may resolve these refusals
     if isinstance(refusal, RecordingError):
         return refusal
     causes = list(refusal.advice)
-    if refusal.code in ADVISED:
+    if refusal.code in codes:
         if len(table.moved) < FEWEST:
-            given = counted(len(table.moved), "recording")
-            causes.append(f"record at least {FEWEST}, better 5, that differ in way and posture, not {given}")
+            count = counted(len(table.moved), "recording")
+            causes.append(f"record at least {FEWEST}, better 5, that differ in path and posture, not {count}")
         if not settings.phases:
             allowed = advice(", or allow {}", "phases='auto'", "--phases auto")
             causes.append(f"cut the recordings to the contact, since no single constraint fits the whole{allowed}")
@@ -174,59 +185,62 @@ def advised(refusal: Refusal, table: Table, settings: Settings, facts: Sequence[
             unsure = "no constraint is confirmed by several recordings"
             causes.append(f"record again, in contact, from other starts: {unsure}")
     why = "; ".join([str(refusal), *facts])
-    said = f"{'; or '.join(causes[:2])}. {why[0].upper()}{why[1:]}" if causes else why
-    return NotIdentifiableError(said, code=refusal.code, gaps=refusal.gaps, advice=(*causes, *facts))
+    text = f"{'; or '.join(causes[:2])}. {why[0].upper()}{why[1:]}" if causes else why
+    return NotIdentifiableError(text, code=refusal.code, gaps=refusal.gaps, advice=(*causes, *facts))
 
 
 def learn(table: Table, settings: Settings, progress: Progress) -> Found | Refusal:
-    """Return an answer for each part of the recordings, clear ones first; or a refusal, without advice.
+    """Learn the constraints of the recordings.
 
     Args:
-        table: The samples.
+        table: Samples.
         settings: Settings of the fit.
         progress: Function of the name of a stage and its completed share.
+
+    Returns:
+        An answer for each part of the recordings, clear ones first; or a refusal, without advice.
     """
     nv = table.u.shape[1]
     if other := {f.nv for f in settings.asked} - {nv}:
         return RecordingError(f"the recordings have {nv} joint velocities, the features {min(other)}", code="shape")
-    asked = [v for v in (View(f, table) for f in settings.asked) if v.r]
-    if not asked:
+    requested = [v for v in (View(f, table) for f in settings.asked) if v.r]
+    if not requested:
         why = "all rows are zero on these recordings: choose axes in which the frame can move"
         return NotIdentifiableError(why, code="zero-features")
-    if refusal := unusable(table, asked[0].r, settings.n_constraints):
+    if refusal := unusable(table, requested[0].r, settings.n_constraints):
         return refusal
     if settings.estimator in ("joint", "separate"):
-        imposed = learn_imposed(asked, settings)
+        imposed = learn_imposed(requested, settings)
         return _moved_on_purpose(imposed) if isinstance(imposed, Imposed) else imposed
     maps = [settings.asked, (), ()]
     if settings.mechanism and settings.n_constraints is None:
         curved = maps_of(settings.asked, table, "surface") if len(table.moved) >= FEWEST else ()
         maps = [maps_of(settings.asked, table, "place"), maps_of(settings.asked, table, "whole"), curved]
     first, whole, curved = ([v for v in (View(f, table) for f in some) if v.largest > 0] for some in maps)
-    for rivals, own in ((first, first), ([*first, *whole], whole), (curved, curved), (asked, asked)):
-        for view in own:
+    for rivals, searched in ((first, first), ([*first, *whole], whole), (curved, curved), (requested, requested)):
+        for view in searched:
             view.tried = sum(rival.largest for rival in rivals)
     switch, gate = settings.switch if settings.phases else np.inf, Gate(settings.seed, settings.strength)
     # the place of the hand first; then its whole twist, if that does not explain; then curved surfaces
     out: Found | NotIdentifiableError | None = None
-    for share, own in enumerate(([*first, *whole], whole if first else [], curved)):
+    for share, searched in enumerate(([*first, *whole], whole if first else [], curved)):
         progress("searching", 0.2 * share)
-        found = explain(own, gate, switch, len(first) if own[0] in first else 0) if own else None
-        if found is not None and found.hypotheses:
+        explanation = explain(searched, gate, switch, len(first) if searched[0] in first else 0) if searched else None
+        if explanation is not None and explanation.hypotheses:
             progress("fitting", 0.2 * share + 0.1)
-            now = _divided(found, [*first, *whole, *curved], whole, gate, settings)
+            now = _divided(explanation, [*first, *whole, *curved], whole, gate, settings)
             out = out if out and isinstance(now, NotIdentifiableError) else now  # the first refusal
             if isinstance(out, Found):
                 break
-    few = 0  # recordings with an answer that rows which are moved on purpose do not explain as well
+    few = 0  # recordings with an answer that driven rows would not explain as well
     if isinstance(out, Found) and (best := out.answers[0]):
-        told = best.evidence.verdict(best.s) == "clear" or (best.gap >= CLEAR_GAP and best.unexplained < 1e-4)
-        few = told * len({s.recording for a in out.answers for s in a.stretches})
+        is_clear = best.evidence.verdict(best.s) == "clear" or (best.gap >= CLEAR_GAP and best.unexplained < 1e-4)
+        few = is_clear * len({s.recording for a in out.answers for s in a.stretches})
     if settings.estimator == "auto" and len(table.moved) > 1 and 2 * few < len(table.moved):
-        imposed = learn_imposed(asked, settings)
+        imposed = learn_imposed(requested, settings)
         if isinstance(imposed, Imposed):
             return _moved_on_purpose(imposed)
-    out = out or _undivided(asked, gate, settings)
+    out = out or _undivided(requested, gate, settings)
     if isinstance(out, Found):
         out.answers = [completed(a, settings) for a in out.answers]
     return out
@@ -244,40 +258,48 @@ class _Part(NamedTuple):
 
 
 def _fitted(found: Explanation, views: list[View], out: Found, settings: Settings) -> list[_Part]:
-    """Return what the hypotheses are by displacements, apart for each place; names what does not agree in `out`."""
-    table, done = found.views[0].table, list[_Part]()
+    """Fit the hypotheses to displacements, separately for each place; report disagreeing recordings in `out`."""
+    table, parts = found.views[0].table, list[_Part]()
     states = found.seen([v.all for v in found.views])[1]
     for k in np.argsort(-found.supports):
         h = found.hypotheses[k]
         view = found.views[h.view]
-        given = [view.sharpened(h.rows, s) for s in found.stretches(k + 1, states)]
-        usual = np.median([s.end - s.start for s in given]) if given else 0.0
-        # a shorter one is chance
-        given = [s for s in given if s.end - s.start >= 0.25 * usual and len(table.samples(s)) > 2]
-        if not given:
+        spans_of_state = [view.sharpened(h.rows, s) for s in found.stretches(k + 1, states)]
+        usual = np.median([s.end - s.start for s in spans_of_state]) if spans_of_state else 0.0
+        # shorter stretches occur by chance
+        spans_of_state = [s for s in spans_of_state if s.end - s.start >= 0.25 * usual and len(table.samples(s)) > 2]
+        if not spans_of_state:
             continue
         alike = [v for v in views if v.turns == view.turns]
-        spans = view.steady(h.rows, given)
+        spans = view.steady(h.rows, spans_of_state)
         fit = best_fit(alike, view, h.rows, spans, settings)
-        if len(spans) < len(given) and len(again := fit.view.steady(fit.rows, given)) > len(spans):
+        if len(spans) < len(spans_of_state) and len(again := fit.view.steady(fit.rows, spans_of_state)) > len(spans):
             spans = again
             fit = best_fit(alike, fit.view, fit.rows, spans, settings)
-        for s in (s for s in given if s not in spans):
+        for s in (s for s in spans_of_state if s not in spans):
             out.odd[s.recording] = differs(fit, [s], {x.recording for x in spans})
             out.unlearnt.append((s, DISAGREES))
         part = _Part(fit, h.scale[1], spans)
-        for j, other in enumerate(done):  # apart for an arm that is not quite its description
+        for j, other in enumerate(parts):  # errors of the arm split one place into several hypotheses
             if both := _at_the_same_place(other, part, settings):
-                done[j] = both
+                parts[j] = both
                 break
         else:
             places = groups_of(fit)
-            done += [part] if len(places) == 1 else _at_each_place(part, places, out, settings)
-    return done
+            parts += [part] if len(places) == 1 else _at_each_place(part, places, out, settings)
+    return parts
 
 
 def angle_between(one: _Part | Answer, other: _Part | Answer) -> float:
-    """Return the angle between rows [rad]; infinite for rows of different features or numbers."""
+    """Return the angle between the row spaces of two parts.
+
+    Args:
+        one: One part or answer.
+        other: The other part or answer.
+
+    Returns:
+        Angle [rad]; infinite for rows of different features or numbers.
+    """
     a, b, view = one.fit.rows, other.fit.rows, one.fit.view
     if view is not other.fit.view or len(a) != len(b):
         return np.inf
@@ -285,7 +307,7 @@ def angle_between(one: _Part | Answer, other: _Part | Answer) -> float:
 
 
 def _at_the_same_place(one: _Part, other: _Part, settings: Settings) -> _Part | None:
-    """Return both parts as one, of different recordings that share a place but for errors of the arm; else None."""
+    """Merge two parts of different recordings that share a place except for errors of the arm; None if they do not."""
     if angle_between(one, other) > 3.0 * SAME or {s.recording for s in one.spans} & {s.recording for s in other.spans}:
         return None
     spans = [*one.spans, *other.spans]
@@ -294,13 +316,17 @@ def _at_the_same_place(one: _Part, other: _Part, settings: Settings) -> _Part | 
 
 
 def _at_each_place(part: _Part, groups: list[set[int]], out: Found, settings: Settings) -> list[_Part]:
-    """Return the part for each place that several recordings share; names the recordings of no such place in `out`."""
+    """Return the part for each place that several recordings share; report all other recordings in `out`."""
     (fit, _, spans), recordings = part, set(part.fit.motion.recs)
 
     def of(some: set[int]) -> _Part:
-        """Return the part in some recordings."""
-        own = [s for s in spans if s.recording in some]
-        return part._replace(fit=best_fit([fit.view], fit.view, fit.rows, own, settings), spans=own)
+        """Return the part in some recordings.
+
+        Args:
+            some: Numbers of the recordings.
+        """
+        chosen_spans = [s for s in spans if s.recording in some]
+        return part._replace(fit=best_fit([fit.view], fit.view, fit.rows, chosen_spans, settings), spans=chosen_spans)
 
     several = [g for g in groups if len(g) > 1]
     if 2 * sum(map(len, several)) <= len(recordings):
@@ -309,22 +335,22 @@ def _at_each_place(part: _Part, groups: list[set[int]], out: Found, settings: Se
         stood = f"it is learnt as it stood in {fit.view.table.moved[last].name}"
         out.warnings.append(f"what holds the hand was moved between recordings ({places}): {stood}")
         return [of({last})._replace(spans=spans)]
-    done = [of(g) for g in several]
+    parts = [of(g) for g in several]
     for s in (s for s in spans if not any(s.recording in g for g in several)):
-        own = [x for x in spans if x.recording == s.recording]
-        out.odd[s.recording] = differs(done[0].fit, own, several[0])
+        its_spans = [x for x in spans if x.recording == s.recording]
+        out.odd[s.recording] = differs(parts[0].fit, its_spans, several[0])
         out.unlearnt.append((s, DISAGREES))
-    return done
+    return parts
 
 
 def _divided(
     found: Explanation, views: list[View], whole: list[View], gate: Gate, settings: Settings
 ) -> Found | NotIdentifiableError:
-    """Return the answers for an explanation, with what is said of them together; or the refusal of the first part."""
+    """Return the answers for an explanation, with their common warnings; or the refusal of the first part."""
     table, out = found.views[0].table, Found([])
-    tried = [(part.spans, answered(part, gate, whole, settings)) for part in _fitted(found, views, out, settings)]
-    out.answers = [a for _, a in tried if isinstance(a, Answer)]
-    refused = [(spans, a) for spans, a in tried if isinstance(a, NotIdentifiableError)]
+    results = [(part.spans, answered(part, gate, whole, settings)) for part in _fitted(found, views, out, settings)]
+    out.answers = [a for _, a in results if isinstance(a, Answer)]
+    refused = [(spans, a) for spans, a in results if isinstance(a, NotIdentifiableError)]
     if not out.answers:
         none = NotIdentifiableError("no contact lasts long enough to be learnt from", code="no-evidence")
         return refused[0][1] if refused else none
@@ -334,39 +360,46 @@ def _divided(
         for a in [a for a in out.answers if not a.clear and (best.clear or a.gap < CLEAR_GAP)]:
             out.answers.remove(a)
             out.unlearnt += [(s, "kept, not shown to be held") for s in a.stretches]
-            kept = f"{counted(a.s, 'row')} in {counted(len(a.stretches), 'stretch')} not learnt: the way of moving"
-            out.warnings.append(f"{kept} may keep them, nothing holds them (gap {a.gap:.3g})")
+            text = f"{counted(a.s, 'row')} in {counted(len(a.stretches), 'stretch')} not learnt: the way of moving"
+            out.warnings.append(f"{text} may keep them, nothing holds them (gap {a.gap:.3g})")
     for spans, refusal in refused:
         out.warnings.append(f"a further constraint is not learnt: {refusal}")
         out.unlearnt += [(s, "what several recordings show here could not be learnt") for s in spans]
     tasks = [{s.recording for s in a.stretches} for a in out.answers]
     if len(tasks) > 1 and not set.intersection(*tasks):
-        shown = " and ".join(counted(len(t), "recording") for t in tasks)
-        out.warnings.append(f"the recordings show {len(tasks)} tasks, {shown}: each constraint is learnt from its own")
+        numbers = " and ".join(counted(len(t), "recording") for t in tasks)
+        out.warnings.append(
+            f"the recordings show {len(tasks)} tasks, {numbers}: each constraint is learnt from its own"
+        )
     for i, (a, b) in enumerate(pairwise(out.answers), 1):
         if (angle := angle_between(a, b)) < 2.0 * SAME:
             out.warnings.append(
                 f"constraints {i} and {i + 1} differ by {np.degrees(angle):.1f} deg only: kept apart, not averaged"
             )
     _odd_ones(out, table)
-    taken = [s for a in out.answers for s in a.stretches] + [s for s, _ in out.unlearnt]
+    used = [s for a in out.answers for s in a.stretches] + [s for s, _ in out.unlearnt]
     if settings.phases and len(table.moved) > 1:
         places = [k for k, v in enumerate(found.views) if not v.turns and not v.curved]
         lone = lone_contacts(found, places, lambda view, s: gate.evidence(view, [s]).n_rows)
-        lone = [s for s in lone if not any(meet(s, other) for other in taken)]
+        lone = [s for s in lone if not any(meet(s, other) for other in used)]
         out.unlearnt += [(s, IN_ONE_ONLY) for s in lone]
-        taken += lone
-    out.free = found.stretches(0, np.where(table.inside(taken), 1, 0))
+        used += lone
+    out.free = found.stretches(0, np.where(table.inside(used), 1, 0))
     return out
 
 
 def meet(a: Stretch, b: Stretch) -> bool:
-    """Return True if two stretches share some time."""
+    """Return True if two stretches overlap in time.
+
+    Args:
+        a: One stretch.
+        b: The other stretch.
+    """
     return a.recording == b.recording and a.start < b.end and b.start < a.end
 
 
 def _odd_ones(out: Found, table: Table) -> None:
-    """Name recordings that do not show a constraint of most, and those with an interrupted contact, as by a slip."""
+    """Report recordings without a constraint that most show, and those with an interrupted contact, as by a slip."""
     stretches = [s for a in out.answers for s in a.stretches]
     missing = set(range(len(table.moved))) - {s.recording for s in stretches}
     for a in out.answers:
@@ -374,7 +407,7 @@ def _odd_ones(out: Found, table: Table) -> None:
         if len(numbers) >= max(2.0, 0.5 * len(table.moved)):
             for i in missing - set(out.odd):
                 out.odd[i] = differs(a.fit, [table.wholes[i]], set(numbers))
-        held = np.median([np.ptp(motion.y[p] @ a.rows.T, axis=0).max() for p in motion.parts])
+        usual = np.median([np.ptp(motion.y[p] @ a.rows.T, axis=0).max() for p in motion.parts])
         for x, y in pairwise(sorted(a.stretches)):
             gap = Stretch(x.recording, x.end, y.start)
             often = numbers[x.recording] > np.median([*numbers.values()])
@@ -382,18 +415,21 @@ def _odd_ones(out: Found, table: Table) -> None:
             if not short or any(meet(s, gap) for s in stretches):
                 continue
             way = view.way(table.inside([gap]), a.rows)
-            if len(way) and np.ptp(way, axis=0).max() > 5.0 * held:
+            if len(way) and np.ptp(way, axis=0).max() > 5.0 * usual:
                 when = f"its contact is interrupted from {x.end:.2f} s to {y.start:.2f} s, as by a slip: "
                 out.odd.setdefault(x.recording, when + differs(a.fit, [gap], set(numbers)))
 
 
 def differs(fit: RowFit, spans: Sequence[Stretch], others: set[int]) -> str:
-    """Return the motion of a recording along rows that others constrain, in words.
+    """Describe the motion of a recording along rows that others constrain.
 
     Args:
         fit: Fit of the others.
         spans: Stretches of the recording.
         others: Numbers of the others.
+
+    Returns:
+        Sentence with the motion [mm or mrad], its direction and the time at which it is fastest.
     """
     view, table = fit.view, fit.view.table
     rows, back = view.selection(fit.rows), np.linalg.pinv(view.W)
@@ -401,26 +437,29 @@ def differs(fit: RowFit, spans: Sequence[Stretch], others: set[int]) -> str:
     way = view.way(inside, rows @ back)
     worst = np.linalg.svd(way - way.mean(axis=0), full_matrices=False)[2][0]
     still, way = fit.motion.y @ (rows @ back).T @ worst, way @ worst
-    held = [np.ptp(still[p]) for p, j in zip(fit.motion.parts, fit.motion.recs, strict=True) if j in others]
+    extents = [np.ptp(still[p]) for p, j in zip(fit.motion.parts, fit.motion.recs, strict=True) if j in others]
     row, unit = worst @ rows, "mm (or mrad)" if view.turns else "mm"
     words = sum_in_words(row * np.sign(row[np.argmax(np.abs(row))]), view.features.row_names, "+.2f", 0.05)
     moves = f"{table.moved[spans[0].recording].name} moves {1e3 * np.ptp(way):.3g} {unit} along a direction ({words})"
     fastest = table.time[inside][np.argmax(np.abs(np.diff(way, prepend=way[0])) / table.weight[inside])]
-    still = f"that {len(others)} others hold still (median {1e3 * np.median(held):.2g})"
+    still = f"that {len(others)} others hold still (median {1e3 * np.median(extents):.2g})"
     return f"{moves} {still}, fastest at {fastest:.2f} s"
 
 
 def best_fit(
     candidates: Sequence[View], view: View, rows: np.ndarray, spans: Sequence[Stretch], settings: Settings
 ) -> RowFit:
-    """Return the fit by displacements, in the plainest features that explain these stretches as well as any.
+    """Fit rows to displacements, in the simplest features that explain these stretches as well as any.
 
     Args:
         candidates: Views to compare.
         view: View of the rows.
-        rows: shape (s, r), whitened, where the fit begins.
+        rows: Array (s, r), whitened, where the fit begins.
         spans: Stretches in which they are constrained.
         settings: Settings of the fit.
+
+    Returns:
+        Best fit, in one of the views.
     """
     s = settings.n_constraints or len(rows)
 
@@ -433,9 +472,9 @@ def best_fit(
     for fit in fits[1:]:
         best = fit if fit.nats(best) > LEAST_GAIN else best
     curved = [v for v in candidates if v.curved and v is not view] if s == 1 else []
-    gain, left = misfit(best) if curved else (0.0, 0.0)
-    if gain > LEAST_GAIN and left > LEAST_MOTION:
-        fit = fitted(curved[0])  # what has another shape, beyond what the arm's own errors explain
+    gain, rms = misfit(best) if curved else (0.0, 0.0)
+    if gain > LEAST_GAIN and rms > LEAST_MOTION:
+        fit = fitted(curved[0])  # errors of the arm do not explain the residual: the shape is another one
         if fit.nats(best) > LEAST_GAIN and levels_on(curved[0], spans).gaps.get(s, 0.0) >= WEAK_GAP:
             return fit
     near = [f for f in fits if best.nats(f) < LEAST_GAIN]
@@ -443,7 +482,7 @@ def best_fit(
 
 
 def answered(part: _Part, gate: Gate, whole: Sequence[View], settings: Settings) -> Answer | NotIdentifiableError:
-    """Return the constraint of stretches, with its evidence and its doubts; or a refusal.
+    """Return the constraint of stretches, with its evidence and warnings; or a refusal.
 
     Args:
         part: Rows, fitted by displacements, and the stretches in which they are constrained.
@@ -455,9 +494,9 @@ def answered(part: _Part, gate: Gate, whole: Sequence[View], settings: Settings)
     view, table, evidence = fit.view, fit.view.table, gate.evidence(fit.view, spans)
     if evidence.verdict(len(fit.rows)) != "clear" and is_firm(view, fit.rows, share, spans):
         evidence = replace(evidence, firm=len(fit.rows))
-    known, firm = placed(fit, None) if settings.mechanism else None, None
-    told = known is not None and known.kind.type == "ball" and (known.mechanism.radius or 0.0) > ON_THE_AXIS
-    if whole and fit.motion.J is not None and not told:
+    first, firm = placed(fit, None) if settings.mechanism else None, None
+    is_ball = first is not None and first.kind.type == "ball" and (first.mechanism.radius or 0.0) > ON_THE_AXIS
+    if whole and fit.motion.J is not None and not is_ball:
         firm = whole_fit(whole, fit, [s for s in spans if s.recording in fit.motion.recs], settings, gate)
     sizes, _, gaps = levels_on(view, spans)
     a = Answer(view, spans, fit.rows, sizes, gaps, evidence=evidence, fit=fit, firm=firm)
@@ -493,11 +532,11 @@ def _refused(a: Answer, settings: Settings) -> NotIdentifiableError | None:
         return NotIdentifiableError(f"{a.s} constraints leave no null space for {nv} joints", code="no-freedom")
     if settings.n_constraints is not None or a.firm is not None:
         return None
-    told = a.evidence.n_pieces < FEWEST or a.evidence.verdict(a.s) == "clear"
+    is_supported = a.evidence.n_pieces < FEWEST or a.evidence.verdict(a.s) == "clear"
     soft = a.gap < CLEAR_GAP and not at_one_place(a.fit)
     if a.gap < WEAK_GAP:
         why, code = f"no constraint is shown: the gap is {a.gap:.2g} for {rows}, {WEAK_GAP:g} is the least", "weak-gap"
-    elif a.over_noise > OVER_NOISE and (soft or (not told and a.gap < 2.0 * CLEAR_GAP)):
+    elif a.over_noise > OVER_NOISE and (soft or (not is_supported and a.gap < 2.0 * CLEAR_GAP)):
         why = f"{rows} would be soft (gap {a.gap:.2g}), and elsewhere in each recording, as in free motion"
     elif a.contradiction:
         why = f"{rows} would explain the recordings, but {a.contradiction}"
@@ -506,66 +545,74 @@ def _refused(a: Answer, settings: Settings) -> NotIdentifiableError | None:
 
 
 def _doubts(a: Answer, settings: Settings) -> list[str]:
-    """Return doubts about an answer, in sentences."""
-    out, rows, fit, evidence, given = list[str](), counted(a.s, "row"), a.fit, a.evidence, settings.n_constraints
+    """Return warnings about an answer, in sentences."""
+    few_joints = 1.6  # effective number of joints of a hand-guided arm with friction
+    out, rows, fit, evidence, requested = list[str](), counted(a.s, "row"), a.fit, a.evidence, settings.n_constraints
     best = max(a.gaps, key=lambda s: a.gaps[s])
-    if a.firm is None and given is not None and best != a.s and a.gaps[best] >= WEAK_GAP:
+    if a.firm is None and requested is not None and best != a.s and a.gaps[best] >= WEAK_GAP:
         out.append(f"{rows} learnt, but the gap supports {best}: {a.gaps[best]:.3g} against {a.gap:.3g}")
-    if a.firm is None and given is None and best > a.s and a.gaps[best] >= WEAK_GAP * a.gap:
+    if a.firm is None and requested is None and best > a.s and a.gaps[best] >= WEAK_GAP * a.gap:
         more = counted(best - a.s, "further row")
         out.append(f"{more} kept softly (gap {a.gaps[best]:.3g}): by the way of moving, or by something that gives way")
     if a.unexplained > SLIGHT:
         share = f"{100 * a.unexplained:.2g} % of the motion's energy"
         out.append(f"{share} breaks the constraint: it is soft, or the demonstrator moves the rows on purpose")
     if len(evidence.strengths) and evidence.n_rows < a.s:
-        asked = "asked for" if given else "explain the recordings"
-        out.append(f"{rows} {asked}, the recombination test supports {evidence.n_rows}: {evidence.sentence()}")
+        source = "asked for" if requested else "explain the recordings"
+        out.append(f"{rows} {source}, the recombination test supports {evidence.n_rows}: {evidence.sentence()}")
     elif evidence.verdict(a.s) != "clear":
         out.append(f"weak evidence: {evidence.sentence()}")
     table = a.view.table
     each = [joints_at_once(table.u[table.samples(s)], table.noises[s.recording])[0] for s in a.stretches]
     together = np.median(each)
-    if together < FEW_JOINTS_AT_ONCE and table.u.shape[1] > 3:
+    if together < few_joints and table.u.shape[1] > 3:
         out.append(f"move all joints together: where {together:.1f} move at a time, friction looks like a constraint")
     if a.errors is not None and a.errors.beyond and settings.arm.zeros:
         off, ratio = f"zeros {np.degrees(a.errors.beyond):.2g} degrees off", a.errors.beyond / settings.arm.zeros
         off += f", or links {1e3 * ratio * settings.arm.links:.2g} mm, would explain what is left: {ratio:.0f} times"
         out.append(f"is this the robot that was recorded? Joints' {off} what joint_offset_std and link_error_std say")
-    gain, left = a.misfit
-    leaves = f"the hand leaves what fits best by {1e3 * left:.2g} mm (or mrad)"
+    gain, rms = a.misfit
+    leaves = f"the hand leaves what fits best by {1e3 * rms:.2g} mm (or mrad)"
     if a.shape is not None:
         return out
-    if left > LEAST_MOTION and gain > LEAST_GAIN:
+    if rms > LEAST_MOTION and gain > LEAST_GAIN:
         out.append(f"{leaves} in the same way in all recordings: the true shape is another one")
-    elif left > LEAST_MOTION and fit.alike > 2.0 and a.over_noise > OVER_NOISE:
+    elif rms > LEAST_MOTION and fit.alike > 2.0 and a.over_noise > OVER_NOISE:
         out.append(f"{leaves}, {a.over_noise:.0f} times the encoders' noise: it gives way, or has another shape")
     if a.placed is not None and a.placed.kind.type == "line":
-        far = float(np.linalg.norm(np.ptp(fit.motion.poses[:, :3, 3], axis=0)))
+        span = float(np.linalg.norm(np.ptp(fit.motion.poses[:, :3, 3], axis=0)))
         # three standard deviations of the curvature of a parabola through evenly spaced samples
-        bend = np.sqrt(fit.dof / fit.alike) * far**2 / (3.0 * np.sqrt(720.0) * max(left, 1e-12))
+        bend = np.sqrt(fit.dof / fit.alike) * span**2 / (3.0 * np.sqrt(720.0) * max(rms, 1e-12))
         if bend < FARTHEST:
-            out.append(f"move it farther than {1e3 * far:.2g} mm: a hinge would fit as well, {bend:.2g} m away or more")
+            out.append(
+                f"move it farther than {1e3 * span:.2g} mm: a hinge would fit as well, {bend:.2g} m away or more"
+            )
     if a.view.curved and kind_of(fit) is None:
         out.append("what holds the hand is a curved surface of no simple kind: its rows are right only where shown")
     return out
 
 
 def completed(a: Answer, settings: Settings) -> Answer:
-    """Return the answer with all rows of the hand, its grip, and the rows in the requested axes."""
-    table, known, fit = a.view.table, a.placed, a.firm or a.fit
+    """Return the answer with all rows of the hand, its grip, and the rows in the requested axes.
+
+    Args:
+        a: Answer from `answered`; it is changed.
+        settings: Settings of the fit.
+    """
+    table, place, fit = a.view.table, a.placed, a.firm or a.fit
     view = fit.view
     if a.firm is not None:
         sizes, _, gaps = fit.motion.levels
         a.whole = Rows(view.features, view.selection(fit.rows), sizes, gaps)
-    if known is not None:
-        a.warnings += [known.doubt] if known.doubt else []
-        kind, rms, apart = held_kind(known, fit.motion)
-        kept = rms < min(KEPT, apart / WEAK_GAP)
-        grip: Grip = "firm" if kind.orientation != "free" else "kept" if kept else "loose"
-        held = replace(known.mechanism, grip=grip, orientation_rms=rms)
-        a.mechanism = replace(held, orientation=kind.orientation, name=kind.name)
-        a.placed = replace(known, kind=kind, mechanism=a.mechanism)
-        # constant rows that were asked for say all of a knob
+    if place is not None:
+        a.warnings += [place.doubt] if place.doubt else []
+        kind, rms, apart = held_kind(place, fit.motion)
+        is_kept = rms < min(KEPT, apart / WEAK_GAP)
+        grip: Grip = "firm" if kind.orientation != "free" else "kept" if is_kept else "loose"
+        gripped = replace(place.mechanism, grip=grip, orientation_rms=rms)
+        a.mechanism = replace(gripped, orientation=kind.orientation, name=kind.name)
+        a.placed = replace(place, kind=kind, mechanism=a.mechanism)
+        # requested constant rows describe a knob completely
         is_knob = kind.kind == "hinge" and any(str(f) == str(view.features) for f in settings.asked)
         if not is_knob and (isinstance(view.features, PlaceRows) or a.firm or a.shape or grip == "firm"):
             features, selection = a.placed.rows(view)
@@ -585,15 +632,19 @@ def completed(a: Answer, settings: Settings) -> Answer:
         sizes, _, gaps = Motion.of(v, a.stretches, settings).levels if a.firm else levels_on(v, a.stretches)
         a.asked = Rows(features, selection, sizes, gaps)
     if (gap := a.asked.gaps.get(len(selection), 0.0)) < CLEAR_GAP:
-        said = f"weak gap: {gap:.2g} for {counted(len(selection), 'row')}, {CLEAR_GAP:g} is clear"
-        a.warnings.append(f"{said}; the constraint may be soft, or the recordings noisy")
+        text = f"weak gap: {gap:.2g} for {counted(len(selection), 'row')}, {CLEAR_GAP:g} is clear"
+        a.warnings.append(f"{text}; the constraint may be soft, or the recordings noisy")
     return a
 
 
 def at_one_place(fit: RowFit) -> bool:
     """Return True if the rows are at one place in all recordings, within the scatter of each.
 
-    Rows other than constant rows of the position are not judged.
+    Args:
+        fit: Fit of the rows.
+
+    Returns:
+        True also for rows other than constant rows of the position, which are not tested.
     """
     f, motion = fit.view.features, fit.motion
     if not isinstance(f, PoseRows) or f.own_axes or not f.only_linear:
@@ -605,9 +656,18 @@ def at_one_place(fit: RowFit) -> bool:
 
 
 def mu_within(view: View, fit: Any, errors: Errors, inside: np.ndarray) -> float:
-    """Return |d log mu| that is not exceeded in 68 % of draws and postures in a mask of samples.
+    """Return the error |d log mu| that is not exceeded in 68 % of draws and postures.
 
-    d log mu = tr(A^+ dA) - tr(Lambda^+ dLambda).
+    d log mu = tr(A^+ dA) - tr(Lambda^+ dLambda), at up to 95 postures.
+
+    Args:
+        view: View of the rows.
+        fit: Fit with whitened rows `rows` (s, r) and their complement `perp`.
+        errors: Draws of the error of the fit.
+        inside: Mask (n,) of the samples that count.
+
+    Returns:
+        Relative error of mu [1].
     """
     few = np.flatnonzero(inside)
     few = few[:: max(1, len(few) // 48)]
@@ -634,8 +694,8 @@ def _undivided(views: list[View], gate: Gate, settings: Settings) -> Found | Not
         if s <= v.r and (best is None or gaps.get(s, 0.0) > 1.1 * best[2].get(best[1], 0.0)):
             best = v, s, gaps
     if best is None:
-        asked = f"{counted(settings.n_constraints or 1, 'constraint')} asked for, but the arm moves"
-        return NotIdentifiableError(f"{asked} {max(v.r for v in views)} rows here: ask for fewer", code="no-freedom")
+        why = f"{counted(settings.n_constraints or 1, 'constraint')} asked for, but the arm moves"
+        return NotIdentifiableError(f"{why} {max(v.r for v in views)} rows here: ask for fewer", code="no-freedom")
     v, s, gaps = best
     gap = gaps.get(s, 0.0)
     if settings.n_constraints is None and (len(once_each(table, table.wholes)) >= FEWEST or gap < WEAK_GAP):
