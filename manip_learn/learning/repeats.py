@@ -239,10 +239,10 @@ def _chains(paths: Sequence[_Path]) -> list[list[int]]:
     """
     ratio, width, share = 0.2, (3, 10), 16
     # ratio: largest residual of a cubic over the path through a seam where something moves (noise alone leaves 0.6);
-    # and smallest speed over the mean speed where a motion was cut: the last 10 of 200 samples of a motion that comes to
-    # rest have 0.03. width: fewest and most samples on either side of a seam to which a cubic is fitted; the fewest is
-    # also the largest distance of two ends, in mean steps: one step without noise, about as often two where noise is as
-    # large as a step. share: samples of a recording over the width
+    # and smallest speed over the mean speed where a motion was cut: the last 10 of 200 samples of a motion that comes
+    # to rest have 0.03. width: fewest and most samples on either side of a seam to which a cubic is fitted; the fewest
+    # is also the largest distance of two ends, in mean steps: one step without noise, about as often two where noise is
+    # as large as a step. share: samples of a recording over the width
     long = [i for i, path in enumerate(paths) if len(path.way) > 2 * width[0]]  # one sample may be shared
     starts, extent = np.array([paths[i].trajectory.q[0] for i in long]), max(path.extent for path in paths)
     seams = []
