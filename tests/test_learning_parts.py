@@ -56,7 +56,7 @@ def test_what_is_too_little_or_too_odd_to_learn_from(rng):
     """An outlier is 1e4 times as far as the usual; too few different moving samples, one joint, and no motion."""
 
     def said(q: np.ndarray, u: np.ndarray, r: int, asked: int | None = None) -> NotIdentifiableError | None:
-        return table.unusable(Table(quarters(q, u)), r, asked)
+        return table.table_refusal(Table(quarters(q, u)), r, asked)
 
     u, far = rng.standard_normal((2, 40, 4))
     middle = np.median(far, axis=0)

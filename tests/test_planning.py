@@ -18,7 +18,7 @@ from manip_learn.control.limits import Limits
 from manip_learn.errors import MissingExtraError
 from manip_learn.planning.clearance import Clearance, Surroundings, links_of
 from manip_learn.planning.joint_path import joint_path
-from manip_learn.planning.stations import Stations, margins_of
+from manip_learn.planning.stations import Stations, path_margins
 from manip_learn.planning.ways import soft_margin
 from manip_learn.robot.collision import Obstacle, SelfCollision
 
@@ -226,7 +226,7 @@ def test_the_slope_of_the_soft_margin_is_that_of_central_differences(panda):
         numeric[i, j] = (soft_margin(stations, ahead)[0] - soft_margin(stations, behind)[0]) / (2.0 * steps)
     rows = list(range(0, len(q), 3))
     assert np.max(np.abs(numeric[rows] - slope[rows])) < 1e-5 * max(1.0, np.max(np.abs(slope)))
-    assert value <= margins_of(stations, q).margin + 1e-9
+    assert value <= path_margins(stations, q).margin + 1e-9
 
 
 def test_the_sense_in_which_joints_have_more_room(rng):

@@ -38,10 +38,10 @@ def audit(options: AuditOptions, progress: Progress) -> Answer:
     source = RecordingSource(options.recordings, robot, progress=progress, **options.keywords())
     with dask_client(options.dask) as client:
         report = audit_episodes(constraint, source, client=client, progress=progress)
-    return described(report, None if options.csv is None else write_table(report, options.csv))
+    return audit_answer(report, None if options.csv is None else write_table(report, options.csv))
 
 
-def described(report: AuditReport, file: Path | None = None) -> Answer:
+def audit_answer(report: AuditReport, file: Path | None = None) -> Answer:
     """Return an audit as an answer: the episodes to leave out with the reasons, and the worst episodes.
 
     Args:

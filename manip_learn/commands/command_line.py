@@ -29,7 +29,7 @@ OUTPUT = {*WRITTEN, "open_browser", "browser", "explain", "as_json", "help", HEL
 TYPED: ContextVar[tuple[str, ...]] = ContextVar("typed words", default=())
 
 
-def described(kind: object) -> dict[str, str]:
+def attribute_texts(kind: object) -> dict[str, str]:
     """Return the texts under `Attributes:` in the docstring of a class or a module.
 
     Args:
@@ -42,7 +42,7 @@ def described(kind: object) -> dict[str, str]:
     return {name: " ".join(text.split()) for name, text in entries}
 
 
-def parsed_by(options: type[Any], run: Callable[[Any], None]) -> Callable[..., None]:
+def command_function(options: type[Any], run: Callable[[Any], None]) -> Callable[..., None]:
     """Return a function for typer that has the fields of some options as its parameters, and runs a command with them.
 
     Args:
@@ -54,9 +54,9 @@ def parsed_by(options: type[Any], run: Callable[[Any], None]) -> Callable[..., N
     def with_options(**given: Any) -> None:
         run(options(**given))
 
-    texts, headings = described(sys.modules[options.__module__]), dict[str, str]()
+    texts, headings = attribute_texts(sys.modules[options.__module__]), dict[str, str]()
     for kind in reversed(options.__mro__[:-1]):
-        texts |= described(kind)
+        texts |= attribute_texts(kind)
         title = "Options" if kind is options else str(inspect.getdoc(kind)).partition(".")[0]
         headings |= dict.fromkeys(inspect.get_annotations(kind), title)
     hints, parameters = get_type_hints(options, include_extras=True), list[inspect.Parameter]()
@@ -172,13 +172,13 @@ def refuse_to_replace(outputs: Sequence[tuple[str, Path]], inputs: Iterable[str 
     if not there:  # new files replace nothing
         return
     texts = (text for one in inputs for text in ([one] if isinstance(one, str | Path) else one))
-    for source in (source for text in texts for source in files_behind(str(text))):
+    for source in (source for text in texts for source in input_files(str(text))):
         for flag, path in there:
-            if path.samefile(source) or path.resolve().name in _named_in(source):
+            if path.samefile(source) or path.resolve().name in _names_in(source):
                 raise OutputError(f"{flag} {path} would replace an input, {source}: name another file")
 
 
-def _named_in(source: Path) -> set[str]:
+def _names_in(source: Path) -> set[str]:
     """Return the names, without folders, of the meshes and other files in a robot's description."""
     from manip_learn.robot.loading import DESCRIPTION_SUFFIXES
 
@@ -188,7 +188,7 @@ def _named_in(source: Path) -> set[str]:
     return {PurePosixPath(name).name for name in names}
 
 
-def files_behind(text: str) -> Iterator[Path]:
+def input_files(text: str) -> Iterator[Path]:
     """Yield the file or folder that an argument names, and the recordings in a folder.
 
     Args:

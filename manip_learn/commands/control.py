@@ -13,7 +13,7 @@ import manip_learn as ml
 from manip_learn.commands.loading import load_constraint
 from manip_learn.commands.options import ControlOptions, vector
 from manip_learn.commands.output import Answer, Progress, cells, place
-from manip_learn.commands.simulated import scene_of, start_posture, with_rollout
+from manip_learn.commands.simulated import load_scene, start_posture, write_rollout
 from manip_learn.constraint.features.feature_map import sum_in_words
 from manip_learn.constraint.features.mechanism_rows import WeighedVelocity
 from manip_learn.control.simulation import WayDone, leads_away, simulate_way
@@ -81,13 +81,8 @@ def control(options: ControlOptions, progress: Progress) -> Answer:
         raise TargetError(f"--rows must be all or held, not {options.rows!r}")
     if not options.plan and (options.seed, options.scene) != (0, None):
         raise TargetError("--seed and --scene go with --plan")
-    typed = (options.policy, options.rest, options.duration, options.inverse) != (
-        "manipulability",
-        None,
-        None,
-        "damped",
-    )
-    if options.plan and typed:
+    used = (options.policy, options.rest, options.duration, options.inverse) != ("manipulability", None, None, "damped")
+    if options.plan and used:
         raise TargetError("a plan has its own null-space motion: leave --policy, --rest, --duration and --inverse out")
     q0, begins = start_posture(robot, constraint, options.start, moves or target is not None)
     if moves:
@@ -108,7 +103,7 @@ def control(options: ControlOptions, progress: Progress) -> Answer:
     if options.check and not answer.content["reached"]:
         because = f": stopped by {answer.content['stopped_by']}" if isinstance(task, ml.FreeDirection) else ""
         raise TargetError(f"{answer.title}{because}; ask for less, or start elsewhere (--start)", code="not-reached")
-    return with_rollout(replace(answer, sentences=[begins, *answer.sentences]), rollout, robot, "control", options)
+    return write_rollout(replace(answer, sentences=[begins, *answer.sentences]), rollout, robot, "control", options)
 
 
 def run(
@@ -141,7 +136,7 @@ def run(
     if options.plan:
         if not isinstance(task, ml.FreeDirection):
             raise TargetError("only a way is planned: --plan goes with --along or --turn")
-        around = scene_of(options.scene, robot)
+        around = load_scene(options.scene, robot)
         result = ml.plan(constraint, task, q0, options.seed, scene=around, dt=dt, progress=progress)
         rollout = result.rollout
         way = replace(result.outcome, begins=float(result.approach.time[-1]) + (result.outcome.begins or 0.0))
@@ -157,7 +152,7 @@ def run(
             enough = max(5.0, math.log(far) / options.task_gain if options.task_gain > 0.0 else 5.0)  # [s]
             length = enough if options.duration is None else options.duration
             rollout = ml.simulate(robot, law, q0, length, dt, progress=progress)
-    aim = aim_of(constraint, task, rollout) if options.target and isinstance(task, ml.PointAttractor) else None
+    aim = compare_target(constraint, task, rollout) if options.target and isinstance(task, ml.PointAttractor) else None
     answer = outcome(constraint, rollout, options.tolerance, way, aim)
     if result is not None:
         clear = f"; clear of {', '.join(result.around.names)}" if result.around.names else ""
@@ -212,7 +207,7 @@ def outcome(
         shares = {"least": float(later.min()), "unhindered": r.status.count(ml.Status.OK) / len(r)}
         facts = cells(content | shares, _ROLLOUT)
     else:
-        verb, content["hold"] = _deed(constraint, r, way)
+        verb, content["hold"] = _effect(constraint, r, way)
         digits, unit = (3, "m") if way.unit == "m" else (1, "degrees")
         far, requested = (f"{abs(content[key]):.{digits}f}" for key in ("done", "wanted"))
         content["sentence"] = f"{verb} {far} of {requested} {unit}"
@@ -261,7 +256,7 @@ def _obstacles(content: dict[str, Any], way: WayDone | None, aim: Aim | None) ->
         yield f"{error:.3g} left after {content['duration']:g} s, still moving: try a longer --duration"
 
 
-def _deed(constraint: ml.Constraint, rollout: ml.Rollout, way: WayDone) -> tuple[str, list[float] | None]:
+def _effect(constraint: ml.Constraint, rollout: ml.Rollout, way: WayDone) -> tuple[str, list[float] | None]:
     """Return the effect of a motion on its mechanism, in words, and the position of the grasp in the base frame [m]."""
     mechanism, frame, robot = constraint.mechanism, getattr(constraint.features, "frame", None), constraint.robot
     verb = "turned" if mechanism is not None and mechanism.type in ("screw", "ball") else "moved"
@@ -274,7 +269,7 @@ def _deed(constraint: ml.Constraint, rollout: ml.Rollout, way: WayDone) -> tuple
     return verb, None if way.begins is None else first.tolist()
 
 
-def aim_of(constraint: ml.Constraint, task: ml.PointAttractor, rollout: ml.Rollout) -> Aim:
+def compare_target(constraint: ml.Constraint, task: ml.PointAttractor, rollout: ml.Rollout) -> Aim:
     """Compare a target with the end of a motion.
 
     Args:

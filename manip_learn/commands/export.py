@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 import manip_learn as ml
 from manip_learn.atomic_write import write_atomically
 from manip_learn.commands.command_line import refuse_to_replace
-from manip_learn.commands.loading import load_constraint, load_for_files, locks_of_files
+from manip_learn.commands.loading import load_constraint, load_for_files, locked_joint_notes
 from manip_learn.commands.options import ExportOptions, vector
 from manip_learn.commands.output import Answer, Progress
 from manip_learn.constraint.constraint import read_constraint_file
@@ -76,11 +76,11 @@ def export(options: ExportOptions, progress: Progress) -> Answer:
         refuse_to_replace([("--out", name) for name in names], options.files)
         written = [content_of(m) for m in motions]  # convert all before the first file is written
         files = list(map(write_atomically, names, written))
-    notes = [*locks_of_files(robot, options), *demonstrations.notes]
-    return _exported(kind, files, notes, len(motions), sum(map(len, motions)))
+    notes = [*locked_joint_notes(robot, options), *demonstrations.notes]
+    return _written(kind, files, notes, len(motions), sum(map(len, motions)))
 
 
-def _exported(kind: str, files: Sequence[Path], notes: list[str], trajectories: int = 0, samples: int = 0) -> Answer:
+def _written(kind: str, files: Sequence[Path], notes: list[str], trajectories: int = 0, samples: int = 0) -> Answer:
     """Return the files, or the folder of a LeRobot data set, as an answer; without numbers for a task."""
     content = {"format": kind, "files": files, "trajectories": trajectories, "samples": samples, "notes": notes}
     text = f"{counted(trajectories, 'trajectory')}, {counted(samples, 'sample')}" if trajectories else ""
@@ -104,4 +104,4 @@ def _export_task(options: ExportOptions, text_of: Callable[[ml.Constraint, Array
         text = as_json(read_constraint_file(Path(options.files[0])) | frame.to_dict())
     file = write_atomically(options.out, text)
     notes = [*constraint.notes, f"task frame: {frame.sentence}{where and f', {where} (--at takes another)'}"]
-    return _exported(str(options.to), [file], notes)
+    return _written(str(options.to), [file], notes)

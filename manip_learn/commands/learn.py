@@ -78,7 +78,7 @@ def fit(options: LearnOptions, progress: Progress = silent) -> tuple[ml.Constrai
     with dask_client(options.dask) as client:
         learner.fit(demos, client=client, progress=progress)
     written = learner.skill_.save(options.out) if options.out is not None else None
-    answer = described(learner.constraints_, learner.reports_)
+    answer = learning_answer(learner.constraints_, learner.reports_)
     notes += answer.notes
     answer = replace(answer, content=answer.content | {"frame": frame, "notes": notes}, notes=notes)
     page = None
@@ -86,11 +86,11 @@ def fit(options: LearnOptions, progress: Progress = silent) -> tuple[ml.Constrai
         motions = dict(zip(distinct_names(demos), demos, strict=True))
         arguments = {"constraint": learner.constraints_ or None, "report": learner.report_, "notes": answer.notes}
         page = ml.replay(robot, motions, options.html, tip=frame, open_browser=False, **arguments)
-    following = _following(options, learner.skill_.constraints[0], learner.constraint_, written)
+    following = _next_command(options, learner.skill_.constraints[0], learner.constraint_, written)
     return learner, replace(answer.with_files(written, page), following=following)
 
 
-def described(constraints: Sequence[ml.Constraint], reports: Sequence[LearningReport]) -> Answer:
+def learning_answer(constraints: Sequence[ml.Constraint], reports: Sequence[LearningReport]) -> Answer:
     """Return constraints with their evidence as an answer; the first, best supported one comes first.
 
     Args:
@@ -124,7 +124,7 @@ def described(constraints: Sequence[ml.Constraint], reports: Sequence[LearningRe
     )
 
 
-def _following(options: LearnOptions, whole: ml.Constraint, constraint: ml.Constraint, out: Path | None) -> str:
+def _next_command(options: LearnOptions, whole: ml.Constraint, constraint: ml.Constraint, out: Path | None) -> str:
     """Return the next command: it reproduces the task, or writes the constraint; empty if no direction is free.
 
     Args:

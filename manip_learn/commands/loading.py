@@ -7,7 +7,7 @@ from itertools import islice
 from pathlib import Path
 
 import manip_learn as ml
-from manip_learn.commands.command_line import files_behind
+from manip_learn.commands.command_line import input_files
 from manip_learn.commands.options import RobotOptions
 from manip_learn.constraint.constraint import locks_in_words, read_constraint_file
 from manip_learn.errors import DAMAGE, ConstraintMismatchError, UnknownNameError, named
@@ -30,7 +30,7 @@ def load_for_files(name: str, files: Sequence[str], loading: RobotOptions) -> ml
     Returns:
         Robot with these joints locked.
     """
-    paths = (path for text in files for path in islice(files_behind(text), 2))  # a folder, and its first file
+    paths = (path for text in files for path in islice(input_files(text), 2))  # a folder, and its first file
     header, file = next(((header, path) for path in paths if (header := file_header(path)) is not None), (None, Path()))
     if header is None or header.robot is None:
         return loading.load(name)
@@ -44,7 +44,7 @@ def load_for_files(name: str, files: Sequence[str], loading: RobotOptions) -> ml
     return robot
 
 
-def locks_of_files(robot: ml.Robot, loading: RobotOptions) -> list[str]:
+def locked_joint_notes(robot: ml.Robot, loading: RobotOptions) -> list[str]:
     """Return a note on joints that are locked because the files have them locked; empty if there are none.
 
     Args:

@@ -141,7 +141,7 @@ def progress(quiet: bool) -> Iterator[Progress]:
         yield lambda step, share: bar.update(task, description=step, completed=share)
 
 
-def refused_by_system(error: OSError) -> str:
+def system_refusal(error: OSError) -> str:
     """Return a sentence about an error of the operating system, e.g. that the answer cannot be printed (a full disk).
 
     Output that could not be printed is discarded, so that the interpreter does not report it again at its end.
@@ -152,7 +152,7 @@ def refused_by_system(error: OSError) -> str:
     try:
         sys.stdout.flush()
     except OSError:
-        nobody_reads()
+        discard_output()
     if error.filename is None:
         return f"the answer cannot be printed: {error.strerror or error}; send it to another file or disk"
     return f"the system refuses: {error.strerror or error} ({error.filename})"
@@ -177,12 +177,12 @@ def refuse(sentence: str, as_json: bool, code: str, facts: Mapping[str, Any] | N
         try:
             print(json.dumps(content, indent=2), flush=True)
         except OSError:  # a closed pipe, or a full disk, which the sentence below reports
-            nobody_reads()
+            discard_output()
     print(f"manip-learn: {message}", file=sys.stderr)
     return exit_code
 
 
-def nobody_reads() -> int:
+def discard_output() -> int:
     """Drop further output without a message: the reader of a pipe, such as `head`, has closed it.
 
     Returns:

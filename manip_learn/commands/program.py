@@ -10,7 +10,7 @@ from typing import Annotated
 import typer
 from typer.main import get_command
 
-from manip_learn.commands.command_line import PROGRAM_NAME, GroupedCommand, ProgramHelp, parsed_by
+from manip_learn.commands.command_line import PROGRAM_NAME, GroupedCommand, ProgramHelp, command_function
 from manip_learn.commands.options import COMMANDS, Options
 from manip_learn.commands.output import for_json, progress
 
@@ -39,7 +39,7 @@ def run_command(work: str, given: Options) -> None:
 
 
 for each_name, (each_work, each_options) in COMMANDS.items():
-    app.command(each_name, cls=GroupedCommand)(parsed_by(each_options, partial(run_command, each_work)))
+    app.command(each_name, cls=GroupedCommand)(command_function(each_options, partial(run_command, each_work)))
 
 
 def print_version(asked: bool) -> None:

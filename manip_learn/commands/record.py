@@ -40,7 +40,7 @@ def record_motions(options: RecordOptions, progress: Progress) -> Answer:
     """
     if options.by not in get_args(By):
         raise ConfigurationError(f"--by must be motion or key, not {options.by!r}")
-    driver, robot, viewer = driver_of(options.driver), None, None
+    driver, robot, viewer = load_driver(options.driver), None, None
     if options.robot is not None:
         robot = options.load(options.robot)
         names = getattr(driver, "joint_names", None) or robot.joint_names
@@ -71,7 +71,7 @@ def record_motions(options: RecordOptions, progress: Progress) -> Answer:
     if not result.ordered:
         files = f"; kept: {', '.join(map(str, result.files))}" if result.files else ""
         raise OutputError(f"recording ended: {result.sentence}{files}")
-    sentence, advice = _learnt(options, robot, result, progress)
+    sentence, advice = _learn_from_files(options, robot, result, progress)
     return Answer(
         asdict(result) | {"sentence": sentence, "advice": advice},
         title=sentence,
@@ -81,7 +81,7 @@ def record_motions(options: RecordOptions, progress: Progress) -> Answer:
     )
 
 
-def _learnt(
+def _learn_from_files(
     options: RecordOptions, robot: ml.Robot | None, done: ml.RecordedFiles, progress: Progress
 ) -> tuple[str, str]:
     """Return the result of learning from all recordings of that name, and the next step, in words."""
@@ -109,7 +109,7 @@ def _learnt(
     return report.sentence, f"enough: manip-learn learn {shlex.quote(str(options.robot))} {pattern} {words}"
 
 
-def driver_of(spec: str) -> ml.Driver:
+def load_driver(spec: str) -> ml.Driver:
     """Return the driver that `FILE.py:NAME` or `package.module:NAME` names; a factory is called.
 
     Args:

@@ -12,7 +12,7 @@ import manip_learn as ml
 from manip_learn.commands.loading import robot_of_constraint
 from manip_learn.commands.options import RepeatOptions, vector
 from manip_learn.commands.output import Answer, Progress, cells, place
-from manip_learn.commands.simulated import scene_of, start_posture, with_rollout
+from manip_learn.commands.simulated import load_scene, start_posture, write_rollout
 from manip_learn.errors import TargetError, counted
 
 _STEP = (
@@ -51,7 +51,7 @@ def repeat_skill(options: RepeatOptions, progress: Progress) -> Answer:
     arguments: dict[str, Any] = {"seed": options.seed, "tip_speed": options.tip_speed, "prefer": options.prefer}
     with suppress(ValueError):  # `repeat` refuses other words
         arguments["tip_speed"] = None if options.tip_speed == "none" else float(options.tip_speed)
-    result = ml.repeat(skill, q0, T, scene=scene_of(options.scene, robot), **arguments, progress=progress)
+    result = ml.repeat(skill, q0, T, scene=load_scene(options.scene, robot), **arguments, progress=progress)
     rollout, steps, ends, rows = result.rollout, [step.to_dict() for step in result.steps], [], []
     for step, document in zip(result.steps, steps, strict=True):
         if step.kind == "reach":
@@ -77,4 +77,4 @@ def repeat_skill(options: RepeatOptions, progress: Progress) -> Answer:
         warnings=[f"{step.name}: stopped by {step.stopped_by}" for step in result.steps if step.stopped_by],
         notes=result.notes,
     )
-    return with_rollout(answer, rollout, robot, "repeat", options)
+    return write_rollout(answer, rollout, robot, "repeat", options)

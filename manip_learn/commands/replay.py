@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import manip_learn as ml
-from manip_learn.commands.loading import load_constraint, load_for_files, locks_of_files
+from manip_learn.commands.loading import load_constraint, load_for_files, locked_joint_notes
 from manip_learn.commands.options import ReplayOptions
 from manip_learn.commands.output import Answer, Progress
 from manip_learn.errors import ConstraintMismatchError, RecordingError
@@ -39,11 +39,11 @@ def replay_files(options: ReplayOptions, progress: Progress) -> Answer:
         ManipLearnError: Another error in the robot or the output.
     """
     progress("writing the replay", 0.0)
-    name, files = named_robot(options.files)
+    name, files = split_robot(options.files)
     provenance, constraint, tip, keywords = dict[str, Any](), None, options.tip, options.keywords()
     if options.constraint is None:
         robot = load_for_files(name, files, options)
-        notes = locks_of_files(robot, options)
+        notes = locked_joint_notes(robot, options)
     else:
         constraint, robot = load_constraint(name, str(options.constraint), options)
         provenance, notes = constraint.provenance, list(constraint.notes)
@@ -76,7 +76,7 @@ def _header(path: Path) -> FileHeader | None:
     return file_header(path) if path.is_file() else None
 
 
-def named_robot(words: list[str]) -> tuple[str, list[str]]:
+def split_robot(words: list[str]) -> tuple[str, list[str]]:
     """Return the robot and the files among the words of a command line.
 
     Args:

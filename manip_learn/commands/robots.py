@@ -39,7 +39,7 @@ def known_robots(options: RobotsOptions, progress: Progress) -> Answer:
     extra, robots, sentences = example_robots(), [], []
     names_of = {"package": SHIPPED, "extra": extra, "net": fetched_names().difference(SHIPPED, extra)}
     for origin, (title, more) in _ORIGINS.items():
-        described = [_described(name, origin) for name in sorted(names_of[origin])]
+        described = [_robot_facts(name, origin) for name in sorted(names_of[origin])]
         robots += described
         sizes = ("" if origin == "net" else f" ({'refused' if r['refused'] else len(r['joints'])})" for r in described)
         names = ", ".join(robot["name"] + size for robot, size in zip(described, sizes, strict=True))
@@ -47,7 +47,7 @@ def known_robots(options: RobotsOptions, progress: Progress) -> Answer:
     return Answer({"robots": robots, "extra_installed": bool(extra)}, sentences=sentences)
 
 
-def _described(name: str, origin: str) -> dict[str, Any]:
+def _robot_facts(name: str, origin: str) -> dict[str, Any]:
     moving, refused = list[str](), None
     try:
         if origin != "net":  # not fetched only for the list

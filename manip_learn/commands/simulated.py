@@ -33,7 +33,7 @@ def start_posture(robot: ml.Robot, constraint: ml.Constraint, start: str | None,
     return q0, f"start: {whence} (another: --start)" if whence else ""
 
 
-def scene_of(given: str | None, robot: ml.Robot) -> Around:
+def load_scene(given: str | None, robot: ml.Robot) -> Around:
     """Return the scene that `--scene` names.
 
     Args:
@@ -46,7 +46,7 @@ def scene_of(given: str | None, robot: ml.Robot) -> Around:
     return "assumed" if given is None else None if given == "none" else ml.Scene.load(given, robot)
 
 
-def with_rollout(
+def write_rollout(
     answer: Answer, rollout: ml.Rollout, robot: ml.Robot, name: str, options: ControlOptions | RepeatOptions
 ) -> Answer:
     """Write the rollout and its replay if the options name files, and return the answer with their names.

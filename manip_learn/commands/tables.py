@@ -11,7 +11,7 @@ from rich.markdown import Markdown
 from rich.table import Table
 from rich.text import Text
 
-from manip_learn.commands.command_line import described
+from manip_learn.commands.command_line import attribute_texts
 from manip_learn.commands.output import Answer
 from manip_learn.errors import printable
 
@@ -77,7 +77,7 @@ def show(console: Console, answer: Answer, explain: bool | None = None) -> None:
         console.print(table)
         say(console, [f"not shown for want of width: {', '.join(hidden)} (--json has all)" if hidden else ""])
     say(console, answer.warnings, "yellow")
-    for term, words in described(Glossary).items() if explain else ():
+    for term, words in attribute_texts(Glossary).items() if explain else ():
         if f" {term} " in f" {' '.join(headings)} ":
             console.print(Text.assemble((term, "bold"), f": {words}"), highlight=False)
     say(console, [f"note: {note}" for note in answer.notes], "dim")

@@ -16,11 +16,11 @@ from manip_learn.constraint.features.frame_jacobian import PoseRows
 from manip_learn.constraint.features.mechanism_rows import CurveRows, PlaceRows
 from manip_learn.constraint.mechanism import ON_THE_AXIS, Grip, Mechanism
 from manip_learn.errors import NotIdentifiableError, RecordingError, advice, counted, named, number_if_known
-from manip_learn.learning.fit import STATED, Errors, Motion, RowFit, angles, errors_of, groups_of, levels_on, misfit
-from manip_learn.learning.gate import FEWEST, Gate, is_firm, joints_at_once
+from manip_learn.learning.fit import STATED, Errors, Motion, RowFit, angles, draw_errors, group_fit, misfit, view_levels
+from manip_learn.learning.gate import FEWEST, Gate, is_firm, simultaneous_joints
 from manip_learn.learning.imposed import Imposed, learn_imposed
-from manip_learn.learning.place import KEPT, Placed, asked_rows, held_kind, kind_of, placed, reshaped, whole_fit
-from manip_learn.learning.repeats import once_each
+from manip_learn.learning.place import KEPT, Placement, fit_shape, fit_whole, grip_kind, kind_of, locate, select_rows
+from manip_learn.learning.repeats import drop_duplicates
 from manip_learn.learning.search import SAME, Explanation, broken_energy, explain, lone_contacts
 from manip_learn.learning.table import (
     CLEAR_GAP,
@@ -36,8 +36,8 @@ from manip_learn.learning.table import (
     Table,
     View,
     excitation,
-    maps_of,
-    unusable,
+    row_maps,
+    table_refusal,
 )
 from manip_learn.linalg import orthonormal_rows, row_space_angle
 from manip_learn.recordings.load import Progress
@@ -66,7 +66,7 @@ class Answer:
         view, rows: View, and whitened rows (s, r) of the position of the hand, or of the requested features.
         s, gap: Number of these rows, and its gap.
         stretches: Stretches in which the rows are constrained.
-        levels, gaps: Sizes and gaps of `levels_on`.
+        levels, gaps: Sizes and gaps of `view_levels`.
         unexplained, held_out: Share of the energy that violates the rows, and the same on held-out recordings.
         evidence: `Evidence` of the recombination test, for held rows; None otherwise.
         fit: `RowFit` by displacements, for held rows; None otherwise.
@@ -95,8 +95,8 @@ class Answer:
     errors: Errors | None = None
     uncertainty: dict[str, float | None] = field(default_factory=dict)
     mu_uncertainty: float | None = None
-    placed: Placed | None = None
-    shape: Placed | CurveRows | None = None
+    placed: Placement | None = None
+    shape: Placement | CurveRows | None = None
     misfit: tuple[float, float] = (0.0, 0.0)
     over_noise: float = 0.0
     warnings: list[str] = field(default_factory=list)
@@ -125,7 +125,7 @@ class Answer:
 
 
 @dataclass(eq=False)
-class Found:
+class Answers:
     """Answers, and the other stretches of the recordings.
 
     Attributes:
@@ -143,14 +143,14 @@ class Found:
     warnings: list[str] = field(default_factory=list)
 
 
-def _moved_on_purpose(found: Imposed) -> Found:
+def _answer_driven_rows(found: Imposed) -> Answers:
     """Return the answer for rows that the demonstrator drives."""
     view, fit, wholes = found.view, found.fit, found.view.table.wholes
     names = ("held_out", "estimator", "uncertainty", "warnings", "policy_model", "policy_residuals")
     same = {name: getattr(found, name) for name in names}
-    mu = None if found.errors is None else mu_within(view, fit, found.errors, view.table.inside(wholes))
+    same["mu_uncertainty"] = found.errors and mu_error(view, fit, found.errors, view.table.inside(wholes))
     same["uncertainty_deg"] = float(np.linalg.norm([*found.uncertainty.values()])) if found.uncertainty else None
-    return Found([Answer(view, wholes, fit.rows, found.levels, found.gaps, fit.unexplained, mu_uncertainty=mu, **same)])
+    return Answers([Answer(view, wholes, fit.rows, found.levels, found.gaps, fit.unexplained, **same)])
 
 
 def advised(refusal: Refusal, table: Table, settings: Settings, facts: Sequence[str]) -> Refusal:
@@ -189,7 +189,7 @@ def advised(refusal: Refusal, table: Table, settings: Settings, facts: Sequence[
     return NotIdentifiableError(text, code=refusal.code, gaps=refusal.gaps, advice=(*causes, *facts))
 
 
-def learn(table: Table, settings: Settings, progress: Progress) -> Found | Refusal:
+def learn(table: Table, settings: Settings, progress: Progress) -> Answers | Refusal:
     """Learn the constraints of the recordings.
 
     Args:
@@ -207,42 +207,42 @@ def learn(table: Table, settings: Settings, progress: Progress) -> Found | Refus
     if not requested:
         why = "all rows are zero on these recordings: choose axes in which the frame can move"
         return NotIdentifiableError(why, code="zero-features")
-    if refusal := unusable(table, requested[0].r, settings.n_constraints):
+    if refusal := table_refusal(table, requested[0].r, settings.n_constraints):
         return refusal
     if settings.estimator in ("joint", "separate"):
         imposed = learn_imposed(requested, settings)
-        return _moved_on_purpose(imposed) if isinstance(imposed, Imposed) else imposed
+        return _answer_driven_rows(imposed) if isinstance(imposed, Imposed) else imposed
     maps = [settings.asked, (), ()]
     if settings.mechanism and settings.n_constraints is None:
-        curved = maps_of(settings.asked, table, "surface") if len(table.moved) >= FEWEST else ()
-        maps = [maps_of(settings.asked, table, "place"), maps_of(settings.asked, table, "whole"), curved]
+        curved = row_maps(settings.asked, table, "surface") if len(table.moved) >= FEWEST else ()
+        maps = [row_maps(settings.asked, table, "place"), row_maps(settings.asked, table, "whole"), curved]
     first, whole, curved = ([v for v in (View(f, table) for f in some) if v.largest > 0] for some in maps)
     for rivals, searched in ((first, first), ([*first, *whole], whole), (curved, curved), (requested, requested)):
         for view in searched:
             view.tried = sum(rival.largest for rival in rivals)
     switch, gate = settings.switch if settings.phases else np.inf, Gate(settings.seed, settings.strength)
     # the place of the hand first; then its whole twist, if that does not explain; then curved surfaces
-    out: Found | NotIdentifiableError | None = None
+    out: Answers | NotIdentifiableError | None = None
     for share, searched in enumerate(([*first, *whole], whole if first else [], curved)):
         progress("searching", 0.2 * share)
         explanation = explain(searched, gate, switch, len(first) if searched[0] in first else 0) if searched else None
         if explanation is not None and explanation.hypotheses:
             progress("fitting", 0.2 * share + 0.1)
-            now = _divided(explanation, [*first, *whole, *curved], whole, gate, settings)
+            now = _answer_parts(explanation, [*first, *whole, *curved], whole, gate, settings)
             out = out if out and isinstance(now, NotIdentifiableError) else now  # the first refusal
-            if isinstance(out, Found):
+            if isinstance(out, Answers):
                 break
     few = 0  # recordings with an answer that driven rows would not explain as well
-    if isinstance(out, Found) and (best := out.answers[0]):
+    if isinstance(out, Answers) and (best := out.answers[0]):
         is_clear = best.evidence.verdict(best.s) == "clear" or (best.gap >= CLEAR_GAP and best.unexplained < 1e-4)
         few = is_clear * len({s.recording for a in out.answers for s in a.stretches})
     if settings.estimator == "auto" and len(table.moved) > 1 and 2 * few < len(table.moved):
         imposed = learn_imposed(requested, settings)
         if isinstance(imposed, Imposed):
-            return _moved_on_purpose(imposed)
-    out = out or _undivided(requested, gate, settings)
-    if isinstance(out, Found):
-        out.answers = [completed(a, settings) for a in out.answers]
+            return _answer_driven_rows(imposed)
+    out = out or _answer_whole(requested, gate, settings)
+    if isinstance(out, Answers):
+        out.answers = [complete_answer(a, settings) for a in out.answers]
     return out
 
 
@@ -257,7 +257,7 @@ class _Part(NamedTuple):
     spans: list[Stretch]
 
 
-def _fitted(found: Explanation, views: list[View], out: Found, settings: Settings) -> list[_Part]:
+def _fit_parts(found: Explanation, views: list[View], out: Answers, settings: Settings) -> list[_Part]:
     """Fit the hypotheses to displacements, separately for each place; report disagreeing recordings in `out`."""
     table, parts = found.views[0].table, list[_Part]()
     states = found.seen([v.all for v in found.views])[1]
@@ -277,16 +277,16 @@ def _fitted(found: Explanation, views: list[View], out: Found, settings: Setting
             spans = again
             fit = best_fit(alike, fit.view, fit.rows, spans, settings)
         for s in (s for s in spans_of_state if s not in spans):
-            out.odd[s.recording] = differs(fit, [s], {x.recording for x in spans})
+            out.odd[s.recording] = describe_difference(fit, [s], {x.recording for x in spans})
             out.unlearnt.append((s, DISAGREES))
         part = _Part(fit, h.scale[1], spans)
         for j, other in enumerate(parts):  # errors of the arm split one place into several hypotheses
-            if both := _at_the_same_place(other, part, settings):
+            if both := _merge_same_place(other, part, settings):
                 parts[j] = both
                 break
         else:
-            places = groups_of(fit)
-            parts += [part] if len(places) == 1 else _at_each_place(part, places, out, settings)
+            places = group_fit(fit)
+            parts += [part] if len(places) == 1 else _split_places(part, places, out, settings)
     return parts
 
 
@@ -306,16 +306,16 @@ def angle_between(one: _Part | Answer, other: _Part | Answer) -> float:
     return row_space_angle(view.selection(a), view.selection(b))
 
 
-def _at_the_same_place(one: _Part, other: _Part, settings: Settings) -> _Part | None:
+def _merge_same_place(one: _Part, other: _Part, settings: Settings) -> _Part | None:
     """Merge two parts of different recordings that share a place except for errors of the arm; None if they do not."""
     if angle_between(one, other) > 3.0 * SAME or {s.recording for s in one.spans} & {s.recording for s in other.spans}:
         return None
     spans = [*one.spans, *other.spans]
     both = best_fit([other.fit.view], other.fit.view, one.fit.rows, spans, settings)
-    return _Part(both, other.share, spans) if len(groups_of(both)) == 1 else None
+    return _Part(both, other.share, spans) if len(group_fit(both)) == 1 else None
 
 
-def _at_each_place(part: _Part, groups: list[set[int]], out: Found, settings: Settings) -> list[_Part]:
+def _split_places(part: _Part, groups: list[set[int]], out: Answers, settings: Settings) -> list[_Part]:
     """Return the part for each place that several recordings share; report all other recordings in `out`."""
     (fit, _, spans), recordings = part, set(part.fit.motion.recs)
 
@@ -338,17 +338,17 @@ def _at_each_place(part: _Part, groups: list[set[int]], out: Found, settings: Se
     parts = [of(g) for g in several]
     for s in (s for s in spans if not any(s.recording in g for g in several)):
         its_spans = [x for x in spans if x.recording == s.recording]
-        out.odd[s.recording] = differs(parts[0].fit, its_spans, several[0])
+        out.odd[s.recording] = describe_difference(parts[0].fit, its_spans, several[0])
         out.unlearnt.append((s, DISAGREES))
     return parts
 
 
-def _divided(
+def _answer_parts(
     found: Explanation, views: list[View], whole: list[View], gate: Gate, settings: Settings
-) -> Found | NotIdentifiableError:
+) -> Answers | NotIdentifiableError:
     """Return the answers for an explanation, with their common warnings; or the refusal of the first part."""
-    table, out = found.views[0].table, Found([])
-    results = [(part.spans, answered(part, gate, whole, settings)) for part in _fitted(found, views, out, settings)]
+    table, out = found.views[0].table, Answers([])
+    results = [(part.spans, evaluate(part, gate, whole, settings)) for part in _fit_parts(found, views, out, settings)]
     out.answers = [a for _, a in results if isinstance(a, Answer)]
     refused = [(spans, a) for spans, a in results if isinstance(a, NotIdentifiableError)]
     if not out.answers:
@@ -376,19 +376,19 @@ def _divided(
             out.warnings.append(
                 f"constraints {i} and {i + 1} differ by {np.degrees(angle):.1f} deg only: kept apart, not averaged"
             )
-    _odd_ones(out, table)
+    _report_outliers(out, table)
     used = [s for a in out.answers for s in a.stretches] + [s for s, _ in out.unlearnt]
     if settings.phases and len(table.moved) > 1:
         places = [k for k, v in enumerate(found.views) if not v.turns and not v.curved]
         lone = lone_contacts(found, places, lambda view, s: gate.evidence(view, [s]).n_rows)
-        lone = [s for s in lone if not any(meet(s, other) for other in used)]
+        lone = [s for s in lone if not any(overlap(s, other) for other in used)]
         out.unlearnt += [(s, IN_ONE_ONLY) for s in lone]
         used += lone
     out.free = found.stretches(0, np.where(table.inside(used), 1, 0))
     return out
 
 
-def meet(a: Stretch, b: Stretch) -> bool:
+def overlap(a: Stretch, b: Stretch) -> bool:
     """Return True if two stretches overlap in time.
 
     Args:
@@ -398,7 +398,7 @@ def meet(a: Stretch, b: Stretch) -> bool:
     return a.recording == b.recording and a.start < b.end and b.start < a.end
 
 
-def _odd_ones(out: Found, table: Table) -> None:
+def _report_outliers(out: Answers, table: Table) -> None:
     """Report recordings without a constraint that most show, and those with an interrupted contact, as by a slip."""
     stretches = [s for a in out.answers for s in a.stretches]
     missing = set(range(len(table.moved))) - {s.recording for s in stretches}
@@ -406,21 +406,21 @@ def _odd_ones(out: Found, table: Table) -> None:
         numbers, view, motion = Counter(s.recording for s in a.stretches), a.view, a.fit.motion
         if len(numbers) >= max(2.0, 0.5 * len(table.moved)):
             for i in missing - set(out.odd):
-                out.odd[i] = differs(a.fit, [table.wholes[i]], set(numbers))
+                out.odd[i] = describe_difference(a.fit, [table.wholes[i]], set(numbers))
         usual = np.median([np.ptp(motion.y[p] @ a.rows.T, axis=0).max() for p in motion.parts])
         for x, y in pairwise(sorted(a.stretches)):
             gap = Stretch(x.recording, x.end, y.start)
             often = numbers[x.recording] > np.median([*numbers.values()])
             short = x.recording == y.recording and often and gap.end - gap.start <= 1.5
-            if not short or any(meet(s, gap) for s in stretches):
+            if not short or any(overlap(s, gap) for s in stretches):
                 continue
             way = view.way(table.inside([gap]), a.rows)
             if len(way) and np.ptp(way, axis=0).max() > 5.0 * usual:
                 when = f"its contact is interrupted from {x.end:.2f} s to {y.start:.2f} s, as by a slip: "
-                out.odd.setdefault(x.recording, when + differs(a.fit, [gap], set(numbers)))
+                out.odd.setdefault(x.recording, when + describe_difference(a.fit, [gap], set(numbers)))
 
 
-def differs(fit: RowFit, spans: Sequence[Stretch], others: set[int]) -> str:
+def describe_difference(fit: RowFit, spans: Sequence[Stretch], others: set[int]) -> str:
     """Describe the motion of a recording along rows that others constrain.
 
     Args:
@@ -464,7 +464,7 @@ def best_fit(
     s = settings.n_constraints or len(rows)
 
     def fitted(v: View) -> RowFit:
-        start = rows if v is view and s == len(rows) else orthonormal_rows(levels_on(v, spans).directions[:s])
+        start = rows if v is view and s == len(rows) else orthonormal_rows(view_levels(v, spans).directions[:s])
         return RowFit(Motion.of(v, spans, settings), start).best()
 
     fits = [fitted(v) for v in candidates if v is view or (v.largest >= s and not v.curved)]
@@ -475,13 +475,13 @@ def best_fit(
     gain, rms = misfit(best) if curved else (0.0, 0.0)
     if gain > LEAST_GAIN and rms > LEAST_MOTION:
         fit = fitted(curved[0])  # errors of the arm do not explain the residual: the shape is another one
-        if fit.nats(best) > LEAST_GAIN and levels_on(curved[0], spans).gaps.get(s, 0.0) >= WEAK_GAP:
+        if fit.nats(best) > LEAST_GAIN and view_levels(curved[0], spans).gaps.get(s, 0.0) >= WEAK_GAP:
             return fit
     near = [f for f in fits if best.nats(f) < LEAST_GAIN]
     return next((f for f in near if kind_of(f)), near[0])
 
 
-def answered(part: _Part, gate: Gate, whole: Sequence[View], settings: Settings) -> Answer | NotIdentifiableError:
+def evaluate(part: _Part, gate: Gate, whole: Sequence[View], settings: Settings) -> Answer | NotIdentifiableError:
     """Return the constraint of stretches, with its evidence and warnings; or a refusal.
 
     Args:
@@ -494,11 +494,11 @@ def answered(part: _Part, gate: Gate, whole: Sequence[View], settings: Settings)
     view, table, evidence = fit.view, fit.view.table, gate.evidence(fit.view, spans)
     if evidence.verdict(len(fit.rows)) != "clear" and is_firm(view, fit.rows, share, spans):
         evidence = replace(evidence, firm=len(fit.rows))
-    first, firm = placed(fit, None) if settings.mechanism else None, None
+    first, firm = locate(fit, None) if settings.mechanism else None, None
     is_ball = first is not None and first.kind.type == "ball" and (first.mechanism.radius or 0.0) > ON_THE_AXIS
     if whole and fit.motion.J is not None and not is_ball:
-        firm = whole_fit(whole, fit, [s for s in spans if s.recording in fit.motion.recs], settings, gate)
-    sizes, _, gaps = levels_on(view, spans)
+        firm = fit_whole(whole, fit, [s for s in spans if s.recording in fit.motion.recs], settings, gate)
+    sizes, _, gaps = view_levels(view, spans)
     a = Answer(view, spans, fit.rows, sizes, gaps, evidence=evidence, fit=fit, firm=firm)
     inside = table.inside(spans, learnt_from=True)
     broken, energy = np.sum(broken_energy(view.all, fit.rows[None])[inside]), np.sum(table.u[inside] ** 2)
@@ -506,26 +506,26 @@ def answered(part: _Part, gate: Gate, whole: Sequence[View], settings: Settings)
     e = np.concatenate([np.diff(table.moved[s.recording].q, 3, axis=0) for s in spans])
     noise = np.sqrt(np.median(e**2) / 0.455 / 20.0) if len(e) else 0.0  # of positions, by their third differences
     a.over_noise = float(np.sqrt(fit.variance) / (noise + 1e-6))
-    if refusal := _refused(a, settings):
+    if refusal := _refusal(a, settings):
         return refusal
     a.misfit = misfit(fit)
     last = firm or fit
-    a.errors = errors_of(last, settings.arm, np.random.default_rng(settings.seed))
+    a.errors = draw_errors(last, settings.arm, np.random.default_rng(settings.seed))
     if a.errors is not None:
         both = (np.quantile(angles(last.rows, last.view.W, B), STATED) for B in (a.errors.noise, a.errors.arm))
         noise, arm = (x if x > 1e-9 else 0.0 for x in np.degrees([*both]).tolist())
         a.uncertainty, a.uncertainty_deg = {"noise": noise, "joint zeros": arm}, float(np.linalg.norm([noise, arm]))
-        a.mu_uncertainty = mu_within(last.view, last, a.errors, inside)
+        a.mu_uncertainty = mu_error(last.view, last, a.errors, inside)
     if settings.mechanism:
-        a.placed = placed(last, a.errors)
+        a.placed = locate(last, a.errors)
         if firm is None and a.misfit[0] > LEAST_GAIN:
-            a.shape = reshaped(fit, a.placed, a.uncertainty.get("joint zeros") or 0.0)
-            a.placed = a.placed if a.shape is None else a.shape if isinstance(a.shape, Placed) else None
-    a.warnings += _doubts(a, settings)
+            a.shape = fit_shape(fit, a.placed, a.uncertainty.get("joint zeros") or 0.0)
+            a.placed = a.placed if a.shape is None else a.shape if isinstance(a.shape, Placement) else None
+    a.warnings += _warnings(a, settings)
     return a
 
 
-def _refused(a: Answer, settings: Settings) -> NotIdentifiableError | None:
+def _refusal(a: Answer, settings: Settings) -> NotIdentifiableError | None:
     """Return the refusal of rows, or None."""
     nv, rows, why, code, advised = a.view.table.u.shape[1], counted(a.s, "row"), "", "no-evidence", ()
     if a.s >= nv:
@@ -533,7 +533,7 @@ def _refused(a: Answer, settings: Settings) -> NotIdentifiableError | None:
     if settings.n_constraints is not None or a.firm is not None:
         return None
     is_supported = a.evidence.n_pieces < FEWEST or a.evidence.verdict(a.s) == "clear"
-    soft = a.gap < CLEAR_GAP and not at_one_place(a.fit)
+    soft = a.gap < CLEAR_GAP and not is_at_one_place(a.fit)
     if a.gap < WEAK_GAP:
         why, code = f"no constraint is shown: the gap is {a.gap:.2g} for {rows}, {WEAK_GAP:g} is the least", "weak-gap"
     elif a.over_noise > OVER_NOISE and (soft or (not is_supported and a.gap < 2.0 * CLEAR_GAP)):
@@ -544,7 +544,7 @@ def _refused(a: Answer, settings: Settings) -> NotIdentifiableError | None:
     return NotIdentifiableError(why, code=code, gaps=a.gaps, advice=advised) if why else None
 
 
-def _doubts(a: Answer, settings: Settings) -> list[str]:
+def _warnings(a: Answer, settings: Settings) -> list[str]:
     """Return warnings about an answer, in sentences."""
     few_joints = 1.6  # effective number of joints of a hand-guided arm with friction
     out, rows, fit, evidence, requested = list[str](), counted(a.s, "row"), a.fit, a.evidence, settings.n_constraints
@@ -563,7 +563,7 @@ def _doubts(a: Answer, settings: Settings) -> list[str]:
     elif evidence.verdict(a.s) != "clear":
         out.append(f"weak evidence: {evidence.sentence()}")
     table = a.view.table
-    each = [joints_at_once(table.u[table.samples(s)], table.noises[s.recording])[0] for s in a.stretches]
+    each = [simultaneous_joints(table.u[table.samples(s)], table.noises[s.recording])[0] for s in a.stretches]
     together = np.median(each)
     if together < few_joints and table.u.shape[1] > 3:
         out.append(f"move all joints together: where {together:.1f} move at a time, friction looks like a constraint")
@@ -592,11 +592,11 @@ def _doubts(a: Answer, settings: Settings) -> list[str]:
     return out
 
 
-def completed(a: Answer, settings: Settings) -> Answer:
+def complete_answer(a: Answer, settings: Settings) -> Answer:
     """Return the answer with all rows of the hand, its grip, and the rows in the requested axes.
 
     Args:
-        a: Answer from `answered`; it is changed.
+        a: Answer from `evaluate`; it is changed.
         settings: Settings of the fit.
     """
     table, place, fit = a.view.table, a.placed, a.firm or a.fit
@@ -606,7 +606,7 @@ def completed(a: Answer, settings: Settings) -> Answer:
         a.whole = Rows(view.features, view.selection(fit.rows), sizes, gaps)
     if place is not None:
         a.warnings += [place.doubt] if place.doubt else []
-        kind, rms, apart = held_kind(place, fit.motion)
+        kind, rms, apart = grip_kind(place, fit.motion)
         is_kept = rms < min(KEPT, apart / WEAK_GAP)
         grip: Grip = "firm" if kind.orientation != "free" else "kept" if is_kept else "loose"
         gripped = replace(place.mechanism, grip=grip, orientation_rms=rms)
@@ -622,14 +622,14 @@ def completed(a: Answer, settings: Settings) -> Answer:
         a.whole, a.mechanism = a.whole._replace(features=a.shape, selection=np.eye(2)), a.shape.mechanism(np.eye(2), {})
     if a.placed is not None and a.placed.off_deg is not None and len(a.whole.selection) == a.whole.features.n_rows:
         a.uncertainty_deg = a.placed.off_deg
-    features, selection = asked_rows(*a.whole[:2], a.placed, settings.asked, table.q)
+    features, selection = select_rows(*a.whole[:2], a.placed, settings.asked, table.q)
     if features is a.whole.features and selection is a.whole.selection:
         a.asked = a.whole
     elif len(selection) == len(a.whole.selection) and features.n_rows >= a.whole.features.n_rows:
         a.asked = a.whole._replace(features=features, selection=selection)
     else:
         v = View(features, table)
-        sizes, _, gaps = Motion.of(v, a.stretches, settings).levels if a.firm else levels_on(v, a.stretches)
+        sizes, _, gaps = Motion.of(v, a.stretches, settings).levels if a.firm else view_levels(v, a.stretches)
         a.asked = Rows(features, selection, sizes, gaps)
     if (gap := a.asked.gaps.get(len(selection), 0.0)) < CLEAR_GAP:
         text = f"weak gap: {gap:.2g} for {counted(len(selection), 'row')}, {CLEAR_GAP:g} is clear"
@@ -637,7 +637,7 @@ def completed(a: Answer, settings: Settings) -> Answer:
     return a
 
 
-def at_one_place(fit: RowFit) -> bool:
+def is_at_one_place(fit: RowFit) -> bool:
     """Return True if the rows are at one place in all recordings, within the scatter of each.
 
     Args:
@@ -655,7 +655,7 @@ def at_one_place(fit: RowFit) -> bool:
     return float(np.sqrt(np.mean((centres - np.median(centres, axis=0)) ** 2))) <= OVER_NOISE * within
 
 
-def mu_within(view: View, fit: Any, errors: Errors, inside: np.ndarray) -> float:
+def mu_error(view: View, fit: Any, errors: Errors, inside: np.ndarray) -> float:
     """Return the error |d log mu| that is not exceeded in 68 % of draws and postures.
 
     d log mu = tr(A^+ dA) - tr(Lambda^+ dLambda), at up to 95 postures.
@@ -684,12 +684,12 @@ def mu_within(view: View, fit: Any, errors: Errors, inside: np.ndarray) -> float
 # --------------------------------------------------------------------------------------- recordings without parts
 
 
-def _undivided(views: list[View], gate: Gate, settings: Settings) -> Found | NotIdentifiableError:
+def _answer_whole(views: list[View], gate: Gate, settings: Settings) -> Answers | NotIdentifiableError:
     """Return the answer of too few recordings, or of a given number of rows; else the refusal."""
     table = views[0].table
     best: Any = None
     for v in [v for v in views if isinstance(v.features, PoseRows) or v is views[0]]:
-        gaps = levels_on(v, table.wholes).gaps
+        gaps = view_levels(v, table.wholes).gaps
         s = settings.n_constraints or max(gaps, key=lambda k: gaps[k])
         if s <= v.r and (best is None or gaps.get(s, 0.0) > 1.1 * best[2].get(best[1], 0.0)):
             best = v, s, gaps
@@ -698,14 +698,14 @@ def _undivided(views: list[View], gate: Gate, settings: Settings) -> Found | Not
         return NotIdentifiableError(f"{why} {max(v.r for v in views)} rows here: ask for fewer", code="no-freedom")
     v, s, gaps = best
     gap = gaps.get(s, 0.0)
-    if settings.n_constraints is None and (len(once_each(table, table.wholes)) >= FEWEST or gap < WEAK_GAP):
+    if settings.n_constraints is None and (len(drop_duplicates(table, table.wholes)) >= FEWEST or gap < WEAK_GAP):
         unused = f"what the motion leaves unused ({counted(s, 'direction')}, gap {gap:.3g}) is held, not never tried"
         why = f"nothing shows that {unused}: {gate.evidence(v, table.wholes, 1.0).sentence()}"
         return NotIdentifiableError(why, code="no-evidence" if gap >= WEAK_GAP else "weak-gap", gaps=gaps)
     settings = replace(settings, n_constraints=s)
     fit = best_fit([v], v, np.eye(s, v.r), table.wholes, settings)
-    a = answered(_Part(fit, 1.0, table.wholes), gate, (), settings)
+    a = evaluate(_Part(fit, 1.0, table.wholes), gate, (), settings)
     if isinstance(a, Answer) and len(table.moved) < FEWEST:
         few = f"{len(table.moved)} cannot show that {counted(s, 'row')} held rather than never tried"
         a.warnings.append(f"record 3, better 5, that differ: {few}")
-    return Found([a]) if isinstance(a, Answer) else a
+    return Answers([a]) if isinstance(a, Answer) else a

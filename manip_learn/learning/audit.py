@@ -9,7 +9,7 @@ from scipy.special import stdtrit
 
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.errors import RecordingError, counted
-from manip_learn.learning.table import REST_SPEED, each_part
+from manip_learn.learning.table import REST_SPEED, map_parts
 from manip_learn.recordings.given import Given, parts_of, recordings_given
 from manip_learn.recordings.load import Progress, Reader
 from manip_learn.recordings.options import Velocities, refuse_unmatched
@@ -140,7 +140,7 @@ def audit_episodes(
     if not 0.0 < false_alarms < 1.0:
         raise RecordingError(f"false_alarms must be a chance between 0 and 1, got {false_alarms!r}", code="option")
     parts = parts_of(recordings_given(demonstrations, constraint.robot, constraint.nv, velocities))
-    results = list(each_part(lambda part: _measure_part(constraint, velocities, part), parts, client, progress))
+    results = list(map_parts(lambda part: _measure_part(constraint, velocities, part), parts, client, progress))
     notes = refuse_unmatched([note for _, remarks in results for note in remarks], len(parts))
     rows = [row for part, _ in results for row in part]
     if not rows:

@@ -27,7 +27,7 @@ from manip_learn.constraint.features.feature_map import FeatureMap
 from manip_learn.constraint.features.frame_jacobian import PoseRows
 from manip_learn.constraint.features.mechanism_rows import WeighedVelocity
 from manip_learn.learning.search import least_used
-from manip_learn.learning.table import LEAST_GAIN, LEAST_MOTION, ArmErrors, Settings, Stretch, View, steps_along
+from manip_learn.learning.table import LEAST_GAIN, LEAST_MOTION, ArmErrors, Settings, Stretch, View, tangents
 from manip_learn.linalg import null_basis, orthonormal_rows, row_space_angles
 from manip_learn.recordings.trajectory import evenly
 
@@ -50,7 +50,7 @@ class Levels(NamedTuple):
     gaps: dict[int, float]
 
 
-def levels_of(M: np.ndarray, S: np.ndarray, x: np.ndarray) -> Levels:
+def levels_from_moments(M: np.ndarray, S: np.ndarray, x: np.ndarray) -> Levels:
     """Return the size of the motion along each direction.
 
     Args:
@@ -65,7 +65,7 @@ def levels_of(M: np.ndarray, S: np.ndarray, x: np.ndarray) -> Levels:
     return Levels(sizes, directions, {s: float(padded[s] / padded[s - 1]) for s in rows})
 
 
-def levels_on(view: View, stretches: Sequence[Stretch]) -> Levels:
+def view_levels(view: View, stretches: Sequence[Stretch]) -> Levels:
     """Return the size of the velocities along each direction of a view.
 
     Args:
@@ -74,7 +74,7 @@ def levels_on(view: View, stretches: Sequence[Stretch]) -> Levels:
     """
     inside = view.table.inside(stretches, learnt_from=True)
     rates = view.all.rates[inside]
-    return levels_of(rates.T @ rates, view.all.gram[inside].sum(axis=0), view.table.u[inside])
+    return levels_from_moments(rates.T @ rates, view.all.gram[inside].sum(axis=0), view.table.u[inside])
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,10 +134,10 @@ class Motion:
         y, x = self.y, self.x if self.way is None else self.way
         if self.way is None:
             y, x = (np.concatenate([z[p] - z[p].mean(axis=0) for p in self.parts]) for z in (y, x))
-        return levels_of(y.T @ y, np.einsum("npv,nqv->pq", self.Phi, self.Phi), x)
+        return levels_from_moments(y.T @ y, np.einsum("npv,nqv->pq", self.Phi, self.Phi), x)
 
 
-def changes_by_links(
+def link_error_changes(
     features: FeatureMap, q: Float[np.ndarray, "n nv"], u: Float[np.ndarray, "n nv"]
 ) -> Float[np.ndarray, "n p e"]:
     """Return the change of Phi(q) u by unit errors of e links.
@@ -265,10 +265,10 @@ class RowFit:
         motion, features, arm = self.motion, self.view.features, self.motion.arm
         dq = self.shortest_way_back()
         y, x, way = motion.y - np.einsum("nrv,nv->nr", motion.Phi, dq), motion.x - dq, motion.way
-        middle, step = (0.5 * (x[1:] + x[:-1]), steps_along(features.robot, x)) if way is None else (x, way)
+        middle, step = (0.5 * (x[1:] + x[:-1]), tangents(features.robot, x)) if way is None else (x, way)
         change = np.einsum("npvk,nv->npk", features.batch_with_derivative(middle)[1], step, optimize=True)
         if arm.links and arm.zeros > 0.0:
-            links = arm.links / arm.zeros * changes_by_links(features, middle, step)
+            links = arm.links / arm.zeros * link_error_changes(features, middle, step)
             change = np.concatenate([change, links], axis=2)
         if way is None:
             change = np.concatenate([np.zeros((1, *change.shape[1:])), np.cumsum(change, axis=0)])
@@ -346,7 +346,7 @@ def autocorrelation(r: np.ndarray, parts: Sequence[slice]) -> float:
 # --------------------------------------------------------------------------------- which recordings share a place
 
 
-def groups_of(fit: RowFit) -> list[set[int]]:
+def group_fit(fit: RowFit) -> list[set[int]]:
     """Return the groups of recordings that share Lambda, largest first: one group unless several explain much more.
 
     Joint offsets are eliminated in both cases: with them, one drawer seems to run in other directions from other
@@ -465,7 +465,7 @@ class Errors:
     beyond: float = 0.0
 
 
-def errors_of(fit: RowFit, arm: ArmErrors, rng: np.random.Generator) -> Errors | None:
+def draw_errors(fit: RowFit, arm: ArmErrors, rng: np.random.Generator) -> Errors | None:
     """Draw errors of the rows of a fit.
 
     Args:

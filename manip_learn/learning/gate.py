@@ -19,9 +19,9 @@ import numpy as np
 
 from manip_learn.constraint.features.feature_map import FeatureMap
 from manip_learn.errors import counted
-from manip_learn.learning.repeats import once_each
+from manip_learn.learning.repeats import drop_duplicates
 from manip_learn.learning.search import Hypothesis, least_used
-from manip_learn.learning.table import BELIEVED, CLEAR_GAP, OVER_NOISE, SLIGHT, Stretch, View, steps_along, whitening
+from manip_learn.learning.table import BELIEVED, CLEAR_GAP, OVER_NOISE, SLIGHT, Stretch, View, tangents, whitening
 from manip_learn.recordings.trajectory import Trajectory
 
 FEWEST = 3  # smallest number of recordings for clear evidence
@@ -146,7 +146,7 @@ def _aligned(pieces: Sequence[Trajectory], scale: np.ndarray, n_bins: int) -> tu
     return q, steps, weight
 
 
-def recombined(
+def recombination_test(
     features: FeatureMap, pieces: Sequence[Trajectory], seed: int = 0, choices: float = 1.0, believed: float = BELIEVED
 ) -> Evidence:
     """Return the evidence that rows of Phi are constrained, by exchanging the joints between pieces.
@@ -225,7 +225,7 @@ def recombined(
             return evidence
 
 
-def joints_at_once(u: np.ndarray, noise: float) -> tuple[float, float]:
+def simultaneous_joints(u: np.ndarray, noise: float) -> tuple[float, float]:
     """Return the number of joints that move at the same time, and the motion of all but the fastest joint over the
     noise.
 
@@ -273,7 +273,7 @@ def is_firm(view: View, rows: np.ndarray, share: float, stretches: Sequence[Stre
         middles.append(t.q[np.searchsorted(t.time, 0.5 * (x.start + x.end))])
     off, features = [], view.features
     for line in (np.linspace(middles[0], q, 21) for q in middles[1:]):
-        steps = steps_along(features.robot, line)
+        steps = tangents(features.robot, line)
         moved = np.einsum("npv,nv->p", features.batch(0.5 * (line[1:] + line[:-1])), steps)
         off.append(np.linalg.norm(rows @ view.W @ moved))
     return bool(max(off) <= SLIGHT * np.median(approaches))
@@ -300,7 +300,7 @@ class Gate:
             choices: Number of hypotheses among which this one was selected; None for the number of choices of as many
                 stretches, as long as these, from all recordings, times the hypotheses of all views.
         """
-        pieces = once_each(view.table, stretches)
+        pieces = drop_duplicates(view.table, stretches)
         m, n, numbers = view.thin, len(view.table.moved), Counter(s.recording for s in pieces)
         moving = m.weight * m.moving
         whole = np.bincount(m.recording, moving, minlength=n)
@@ -311,7 +311,7 @@ class Gate:
             log_ways += math.log(whole[s.recording] / span) if span > 0.0 else 0.0
         ways = view.tried * math.exp(min(max(log_ways, 0.0), 700.0))  # larger numbers overflow
         choices = ways if choices is None else choices
-        return recombined(view.features, list(pieces.values()), self.seed, choices, self.believed)
+        return recombination_test(view.features, list(pieces.values()), self.seed, choices, self.believed)
 
     def __call__(self, view: View, h: Hypothesis, stretches: Sequence[Stretch]) -> bool:
         """Return True if rows are constrained in stretches, by the recombination test or by one place.
@@ -328,8 +328,9 @@ class Gate:
             recs = {s.recording for s in some}
             if not recs or len(recs) < min(2, len(view.table.moved)):
                 return False
-            each = [(np.asarray(p.u), view.table.noises[s.recording]) for s, p in once_each(view.table, some).items()]
-            together, others = np.median([joints_at_once(*x) for x in each], axis=0) if each else (0.0, 0.0)
+            table = view.table
+            each = [(np.asarray(p.u), table.noises[s.recording]) for s, p in drop_duplicates(table, some).items()]
+            together, others = np.median([simultaneous_joints(*x) for x in each], axis=0) if each else (0.0, 0.0)
             if together >= 1.1 or others >= OVER_NOISE**2:
                 evidence = self.evidence(view, some)
                 s = len(h.rows)

@@ -48,7 +48,7 @@ from scipy.linalg import LinAlgError, cholesky, eigh, solve_triangular
 from scipy.spatial import cKDTree
 
 from manip_learn.errors import NotIdentifiableError, advice, counted
-from manip_learn.learning.fit import STATED, Errors, angles, levels_on, solve
+from manip_learn.learning.fit import STATED, Errors, angles, solve, view_levels
 from manip_learn.learning.table import CLEAR_GAP, LEAST_GAIN, NONE, WEAK_GAP, Settings, Table, View
 from manip_learn.linalg import inverse_triangles_beside, null_basis, orthonormal_rows, row_bases
 
@@ -144,7 +144,7 @@ class Data:
         return [np.flatnonzero(np.repeat(group == g, self.u.shape[1])) for g in np.unique(group)]
 
 
-def mixing_of(table: Table) -> np.ndarray | None:
+def noise_whitening(table: Table) -> np.ndarray | None:
     """Return L^-1 for noise of covariance L L^T.
 
     Policy and task move the arm smoothly, noise does not: third differences of the velocities show it. The estimate
@@ -375,17 +375,17 @@ def search(d: Data, rng: np.random.Generator) -> list[PolicyFit]:
     few = [b for b in (d.beta[:, d.grades < 2], d.beta) if 2 * b.shape[1] < len(d.u)]
     directions = [conditional_pca(d, b) for b in few] or [np.eye(r)]
     look(x[:s] for s in range(min(r, nv - 1) + 1) for x in directions)
-    if likeliest(fits.values()).noise > d.enough:
+    if select_likeliest(fits.values()).noise > d.enough:
         look(x for s in list(fits) for x in rng.standard_normal((own_starts if d.own else random_starts, s, r)))
     # try one row less, within the row space of the best: it contains the true rows if these are fewer
     s = r + 1
-    while s > len(rows := likeliest(fits.values()).rows) > 1:
+    while s > len(rows := select_likeliest(fits.values()).rows) > 1:
         s = len(rows)
         look(rng.standard_normal((subspaces, s - 1, s)) @ rows)
     return list(fits.values())
 
 
-def likeliest(fits: Iterable[PolicyFit]) -> PolicyFit:
+def select_likeliest(fits: Iterable[PolicyFit]) -> PolicyFit:
     """Return the likeliest fit among those whose policy predicts recordings that it was not fitted to.
 
     Likelihood alone prefers a rich policy that follows each of a few recordings.
@@ -455,11 +455,11 @@ def learn_imposed(views: list[View], settings: Settings) -> Imposed | NotIdentif
     if not isinstance(best, Imposed):
         return best
     if settings.estimator == "auto":
-        rows = levels_on(best.view, table.wholes).directions[: len(best.fit.rows)]
-        d = Data(best.view, (), 0, _few(table, MOST))
+        rows = view_levels(best.view, table.wholes).directions[: len(best.fit.rows)]
+        d = Data(best.view, (), 0, _subsample(table, MOST))
         if best.held_out > EXPLAINED or best.nats <= PolicyFit(d, orthonormal_rows(rows)).nats(d.floor):
             return NotIdentifiableError("no policy of the posture explains this motion", code="no-task")
-    return _doubted(best, settings)
+    return _add_warnings(best, settings)
 
 
 def _unidentifiable(table: Table, settings: Settings) -> NotIdentifiableError | None:
@@ -494,7 +494,7 @@ def is_one_path(table: Table) -> bool:
     return len(paths) < min(3, len(table.moved))
 
 
-def _few(table: Table, most: int, own: bool = False) -> np.ndarray:
+def _subsample(table: Table, most: int, own: bool = False) -> np.ndarray:
     """Return evenly spaced samples with at most `most` velocities; with offsets of recordings, of few recordings."""
     most_recordings = 16  # with offsets of their own
     few = np.flatnonzero(table.recording < (most_recordings if own else np.inf))
@@ -507,7 +507,7 @@ def _joint(v: View, settings: Settings) -> Imposed | NotIdentifiableError:
     max_columns, n_compared = 400, 4500  # parameters (a step takes their cube); samples in the search
     table, model, seed, nv = v.table, settings.policy_model, settings.seed, v.table.u.shape[1]
     has_offsets, auto, names = model == "affine-offset", model == "auto", list(MODELS[model])
-    few, rng = _few(table, n_compared, has_offsets), np.random.default_rng(seed)
+    few, rng = _subsample(table, n_compared, has_offsets), np.random.default_rng(seed)
     while auto and nv * sum(regressors(table, g, seed).shape[1] for g in names) > max_columns:
         names.pop()
 
@@ -518,23 +518,23 @@ def _joint(v: View, settings: Settings) -> Imposed | NotIdentifiableError:
 
     def searched(mixing: np.ndarray | None) -> tuple[list[PolicyFit], PolicyFit]:
         fits, s = search(Data(v, names, seed, few, mixing), rng), settings.n_constraints
-        return fits, (likeliest(fits) if s is None or s >= len(fits) else fits[s]).best()
+        return fits, (select_likeliest(fits) if s is None or s >= len(fits) else fits[s]).best()
 
     fits, best = searched(None)
     floor, energy = best.d.floor, len(few) * nv * best.d.mean_square
     noisy = len(few) * best.noise > 1e-2 * RESOLVED * energy  # else by least squares, far below this resolution
-    if noisy and (mixing := mixing_of(table)) is not None:
+    if noisy and (mixing := noise_whitening(table)) is not None:
         fits, best = max((fits, best), searched(mixing), key=lambda found: found[1].nats(floor))
     if len(best.rows) == 0:
         why = "a policy of the posture alone explains the motion, nothing is steered: record more, from other starts"
         return NotIdentifiableError(why, code="no-task")
     if auto and best.noise > best.d.enough:
-        some = _few(table, n_compared, True)
+        some = _subsample(table, n_compared, True)
         shared, apart = (PolicyFit(Data(v, g, seed, some), best.rows) for g in (names, MODELS["affine-offset"]))
         if apart.nats(apart.d.floor) > shared.nats(apart.d.floor):  # a rest posture of each recording explains more
             return _joint(v, replace(settings, policy_model="affine-offset"))
     names = [g for i, g in enumerate(names) if i in best.d.grades]
-    fit, name = PolicyFit(Data(v, names, seed, _few(table, MOST), best.d.mixing), best.rows), ""
+    fit, name = PolicyFit(Data(v, names, seed, _subsample(table, MOST), best.d.mixing), best.rows), ""
     if noisy:
         fit = fit.best()
         used = [g for g, number in zip(names, fit.determined, strict=False) if number >= 1.0] or names
@@ -549,10 +549,10 @@ def _joint(v: View, settings: Settings) -> Imposed | NotIdentifiableError:
     share, weak = fit.held_out / fit.energy, math.sqrt(1.0 + 6.0 * math.sqrt(2.0 / len(few)))
     rms = [math.sqrt(max(f.held_out, LEAST * energy) / f.n_residuals) for f in fits]
     gaps = {k: rms[k - 1] / rms[k] for k in range(1, len(rms))}
-    return Imposed(v, fit, gaps, max(len(likeliest(fits).rows), 1), weak, name, {name: share}, share, nats)
+    return Imposed(v, fit, gaps, max(len(select_likeliest(fits).rows), 1), weak, name, {name: share}, share, nats)
 
 
-def _doubted(a: Imposed, settings: Settings) -> Imposed | NotIdentifiableError:
+def _add_warnings(a: Imposed, settings: Settings) -> Imposed | NotIdentifiableError:
     """Return the answer with its uncertainty and warnings; or a refusal."""
     rows, is_given, s = a.fit.rows, settings.n_constraints is not None, counted(len(a.fit.rows), "row")
     gap, better = a.gaps.get(len(rows), 0.0), a.gaps.get(a.likeliest, 0.0)
@@ -580,7 +580,7 @@ def _doubted(a: Imposed, settings: Settings) -> Imposed | NotIdentifiableError:
 # ------------------------------------------------------------------------------------------ the method of the paper
 
 
-def separated(view: View, seed: int) -> np.ndarray | NotIdentifiableError:
+def separate_null_motion(view: View, seed: int) -> np.ndarray | NotIdentifiableError:
     """Separate the null-space part of the motion, by consistency alone (equation (8), see the module).
 
     Args:
@@ -642,13 +642,13 @@ def residual_and_jacobian(weights: np.ndarray, basis: np.ndarray, u: np.ndarray)
 
 def _separate(v: View, settings: Settings) -> Imposed | NotIdentifiableError:
     """Separate u into task and null-space part, then learn Lambda from A w~ = 0."""
-    w, table, u = separated(v, settings.seed), copy(v.table), v.table.u
+    w, table, u = separate_null_motion(v, settings.seed), copy(v.table), v.table.u
     if isinstance(w, NotIdentifiableError):
         return w
     table.u, name = w, f"rbf{min(MOST_CENTRES, len(w) // SAMPLES_PER_CENTRE)}"
     null, length = View(v.features, table), np.maximum(np.linalg.norm(w, axis=1), TINY**0.5)
     cost = float(np.sum((np.einsum("nv,nv->n", w, u) / length - length) ** 2) / np.sum(u**2))
-    levels, directions, gaps = levels_on(null, table.wholes)
+    levels, directions, gaps = view_levels(null, table.wholes)
     likely = max(gaps, key=lambda s: gaps[s])
     rows = orthonormal_rows(directions[: settings.n_constraints or likely])
     fit = PolicyFit(Data(null, (), 0, np.arange(len(w))), rows).best()

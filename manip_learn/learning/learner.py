@@ -13,10 +13,10 @@ from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features.feature_map import FeatureMap
 from manip_learn.constraint.skill import Skill
 from manip_learn.errors import FeatureError, NotFittedError, NumberOfConstraintsError, RecordingError, advice, an
-from manip_learn.learning.answer import Found, advised, learn
+from manip_learn.learning.answer import Answers, advised, learn
 from manip_learn.learning.repeats import IndependentRecordings
-from manip_learn.learning.report import Context, LearningReport, reports
-from manip_learn.learning.skill import skill_of
+from manip_learn.learning.report import Context, LearningReport, make_reports
+from manip_learn.learning.skill import build_skill
 from manip_learn.learning.table import (
     BELIEVED,
     MOST_SAMPLES,
@@ -228,14 +228,14 @@ class ConstraintLearner:
             options |= {"by_rates": exact or self.velocities == "recorded"}
             settings = Settings(self.n_constraints, self.estimator, self.policy_model, **options)
             result = learn(table, settings, progress)
-            if not isinstance(result, Found):
+            if not isinstance(result, Answers):
                 raise advised(result, table, settings, recordings.warnings)
             # for the provenance; the features are stored in the constraint itself
             names = [name for name in inspect.signature(type(self)).parameters if name not in ("features", "renamed")]
             context = Context(table, recordings, {name: getattr(self, name) for name in names}, started)
-            wholes, self.constraints_, self.reports_ = zip(*reports(result, context), strict=True)
+            wholes, self.constraints_, self.reports_ = zip(*make_reports(result, context), strict=True)
             self.constraint_, self.report_ = self.constraints_[0], self.reports_[0]
-            self.skill_ = skill_of(wholes, result, table)
+            self.skill_ = build_skill(wholes, result, table)
             progress("learning", 1.0)
         return self
 

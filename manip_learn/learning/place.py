@@ -61,7 +61,7 @@ KEPT = OVER_NOISE * GIVES_WAY  # [deg] largest rotation of a hand that is not fr
 
 
 @dataclass(frozen=True, eq=False)
-class Placed:
+class Placement:
     """Mechanism with its kind, its place, and the error of the direction in which the hand moves or is held [deg].
 
     Attributes:
@@ -98,11 +98,11 @@ class Placed:
         features, selection = rows_of(self.kind, self.place, self.mechanism.radius, view.features.twist)
         if not isinstance(features, MechanismRows):
             return features, selection
-        features = movable(features, view.table.q)
+        features = movable_rows(features, view.table.q)
         return features, np.eye(features.n_rows)
 
 
-def movable(features: MechanismRows, q: np.ndarray) -> MechanismRows:
+def movable_rows(features: MechanismRows, q: np.ndarray) -> MechanismRows:
     """Return the rows of a mechanism that the arm can move at postures q (n, nq).
 
     Args:
@@ -113,7 +113,7 @@ def movable(features: MechanismRows, q: np.ndarray) -> MechanismRows:
     return features.with_rows([n for n, x in zip(features.row_names, sizes, strict=True) if x > 1e-6], features.radius)
 
 
-def placed(fit: RowFit, errors: Errors | None) -> Placed | None:
+def locate(fit: RowFit, errors: Errors | None) -> Placement | None:
     """Return the mechanism of fitted rows, with the uncertainty of its place; None if there is none.
 
     Args:
@@ -126,7 +126,7 @@ def placed(fit: RowFit, errors: Errors | None) -> Placed | None:
     kind, place, p = best[0], best[1].as_told(), fit.motion.poses[:, :3, 3]
     if kind.type in ("line", "plane"):  # the mean position of the hand, not the origin of the axes of the rows
         place = replace(place, point=p.mean(axis=0))
-    radius = arc_of(kind, place, p)
+    radius = hand_arc(kind, place, p)
     if radius is not None and not kind.name.endswith("firm") and radius[0] > FARTHEST:
         return None
     off, few = [], p[evenly(len(p), n_draws)]
@@ -140,7 +140,7 @@ def placed(fit: RowFit, errors: Errors | None) -> Placed | None:
         d, turned = there.point - place.point, np.linalg.norm(np.cross(place.axis, there.axis))
         if "point-across" in kind.unknowns:
             d = d - (d @ place.axis) * place.axis
-        away = arc_of(kind, there, p)
+        away = hand_arc(kind, there, p)
         wider = abs(away[0] - radius[0]) if away and radius else 0.0
         axis = math.degrees(math.atan2(turned, abs(place.axis @ there.axis)))
         aside = np.degrees(np.arccos(np.clip(np.abs(np.sum(ahead * headings(kind, there, few), axis=1)), 0.0, 1.0)))
@@ -155,7 +155,7 @@ def placed(fit: RowFit, errors: Errors | None) -> Placed | None:
     if kind.name == "screw, firm" and abs(place.pitch) < max(LEAST_PITCH, 3.0 * error):
         kind = KIND_BY_NAME["hinge, firm"]
         uncertainty.pop("pitch", None)
-    return _placed(kind, place, p, uncertainty, fit, max(sizes[-1], uncertainty.get("axis", 0.0)) if off else None)
+    return _placement(kind, place, p, uncertainty, fit, max(sizes[-1], uncertainty.get("axis", 0.0)) if off else None)
 
 
 def headings(kind: MechanismKind, place: Place, p: Places) -> Places:
@@ -180,13 +180,13 @@ def headings(kind: MechanismKind, place: Place, p: Places) -> Places:
     return field / np.maximum(np.linalg.norm(field, axis=1, keepdims=True), 1e-12)
 
 
-def _placed(
+def _placement(
     kind: MechanismKind, place: Place, p: Places, uncertainty: dict[str, float], fit: RowFit, off: float | None = None
-) -> Placed:
+) -> Placement:
     """Return the mechanism of a kind at a place, with the radius [m] and the arc [rad] of the hand."""
-    (away, arc), grip = arc_of(kind, place, p) or (None, None), "loose" if kind.orientation == "free" else "firm"
+    (away, arc), grip = hand_arc(kind, place, p) or (None, None), "loose" if kind.orientation == "free" else "firm"
     facts = {"grip": grip, "uncertainty": uncertainty, "arc": arc, **fit.view.features.twist.seen_from}
-    return Placed(mechanism_of(kind, place, away, **facts), kind, place, off)
+    return Placement(mechanism_of(kind, place, away, **facts), kind, place, off)
 
 
 def kind_of(fit: RowFit, rows: np.ndarray | None = None) -> tuple[MechanismKind, Place] | None:
@@ -203,7 +203,7 @@ def kind_of(fit: RowFit, rows: np.ndarray | None = None) -> tuple[MechanismKind,
     return view.features.kind_of(selection, null_basis(view.W).T, poses[:, :3, 3])
 
 
-def arc_of(kind: MechanismKind, place: Place, p: np.ndarray) -> tuple[float, float] | None:
+def hand_arc(kind: MechanismKind, place: Place, p: np.ndarray) -> tuple[float, float] | None:
     """Return the mean distance of the hand from the axis or the centre, and its arc.
 
     Args:
@@ -229,7 +229,7 @@ def arc_of(kind: MechanismKind, place: Place, p: np.ndarray) -> tuple[float, flo
 # ---- shapes without constant rows, fitted to positions of the hand: the side of a cylinder, a helix, a bent rail
 
 
-def reshaped(fit: RowFit, known: Placed | None, arm_deg: float) -> Placed | CurveRows | None:
+def fit_shape(fit: RowFit, known: Placement | None, arm_deg: float) -> Placement | CurveRows | None:
     """Return the shape that explains the positions of the hand far better than these rows; None if there is none.
 
     Args:
@@ -248,7 +248,7 @@ def reshaped(fit: RowFit, known: Placed | None, arm_deg: float) -> Placed | Curv
     # rows without a mechanism count as a plane or a line
     name, axis = ("plane", normal) if len(fit.rows) == 1 else ("line", first)
     kind, place = (KIND_BY_NAME[name], Place(axis, middle)) if known is None else (known.kind, known.place)
-    before = float(np.mean(_nearest(kind, place, p, parts)[1] ** 2)) + LEAST_RAD**2
+    before = float(np.mean(_fit_place(kind, place, p, parts)[1] ** 2)) + LEAST_RAD**2
 
     def gain(left: np.ndarray, unknowns: int) -> float:
         """Return the gain of a shape over the rows, net of the price of its unknowns [nats].
@@ -268,34 +268,34 @@ def reshaped(fit: RowFit, known: Placed | None, arm_deg: float) -> Placed | Curv
         for angle, side in product(np.arange(8) * math.pi / 8.0, (-1.0, 1.0)):
             starts.append(Place(math.cos(angle) * first + math.sin(angle) * second, middle + side * normal))
     n = len(kind.unknowns)
-    best = max((_nearest(kind, x, p, parts) for x in starts), key=lambda found: gain(found[1], n), default=None)
+    best = max((_fit_place(kind, x, p, parts) for x in starts), key=lambda found: gain(found[1], n), default=None)
     if best is not None and gain(best[1], n) > LEAST_GAIN and abs(best[0].pitch) >= 3.0 * math.sqrt(best[2][6, 6]):
         place, _, C = best
         place = replace(place, point=place.point + ((middle - place.point) @ place.axis) * place.axis).as_told()
         axis, point, pitch = (math.sqrt(np.trace(C[KNOWN[n], KNOWN[n]])) for n in ("axis", "point", "pitch"))
-        point = math.hypot(point, math.radians(arm_deg) * (arc_of(kind, place, p) or (0.0,))[0])
+        point = math.hypot(point, math.radians(arm_deg) * (hand_arc(kind, place, p) or (0.0,))[0])
         uncertainty = {"axis": math.hypot(math.degrees(axis), arm_deg), "point": point, "radius": point}
         uncertainty |= {"pitch": pitch} if "pitch" in kind.unknowns else {}
-        return _placed(kind, place, p, uncertainty, fit)
+        return _placement(kind, place, p, uncertainty, fit)
     curve = _curve(p, parts) if len(fit.rows) == 2 and len(parts) > 2 and before > LEAST_MOTION**2 else None
     if curve is None or gain(curve[1], 12) <= LEAST_GAIN:
         return None
     return CurveRows(hand.robot, hand.frame.name, curve[0], ("across-1", "across-2"), **hand.seen_from)
 
 
-def _nearest(
+def _fit_place(
     kind: MechanismKind, start: Place, p: Places, parts: list[slice]
 ) -> tuple[Place, Float[np.ndarray, "n k"], Float[np.ndarray, "7 7"]]:
     """Return the best place, its residual [m], and the covariance of its axis, point and pitch."""
     steps = np.concatenate([np.eye(7)[KNOWN[name]] for name in kind.unknowns])
-    solution = least_squares(lambda x: _left(kind, start.moved(x @ steps), p, parts).ravel(), np.zeros(len(steps)))
+    solution = least_squares(lambda x: _residual(kind, start.moved(x @ steps), p, parts).ravel(), np.zeros(len(steps)))
     place = start.moved(solution.x @ steps)
-    residual = _left(kind, place, p, parts)
+    residual = _residual(kind, place, p, parts)
     variance = float(np.mean(residual**2)) * autocorrelation(residual, parts)
     return place, residual, variance * steps.T @ np.linalg.pinv(solution.jac.T @ solution.jac, 1e-10, True) @ steps
 
 
-def _left(kind: MechanismKind, place: Place, p: Places, parts: list[slice]) -> Float[np.ndarray, "n k"]:
+def _residual(kind: MechanismKind, place: Place, p: Places, parts: list[slice]) -> Float[np.ndarray, "n k"]:
     """Return the quantities of the position that a mechanism keeps constant, less their means in each stretch [m]."""
     d, sides = p - place.point, across(place.axis)
     z = d @ place.axis
@@ -320,10 +320,10 @@ def _curve(p: Places, parts: list[slice]) -> tuple[Curve, Places] | None:
         curve = Curve(longest[onward][evenly(len(onward), 8)])
         for pieces in numbers:
             for _ in range(5):
-                curve = _through(curve, p, pieces)
+                curve = _fit_spline(curve, p, pieces)
             off = np.empty_like(p)
             for part in parts:
-                others = _through(curve, np.delete(p, np.arange(part.start, part.stop), axis=0), pieces)
+                others = _fit_spline(curve, np.delete(p, np.arange(part.start, part.stop), axis=0), pieces)
                 # the distance is in two directions of three
                 off[part] = math.sqrt(1.5) * (p[part] - others.at(others.nearest(p[part])))
             if best is None or np.mean(off**2) < np.mean(best[1] ** 2):
@@ -331,7 +331,7 @@ def _curve(p: Places, parts: list[slice]) -> tuple[Curve, Places] | None:
     return best
 
 
-def _through(curve: Curve, p: Places, pieces: int) -> Curve:
+def _fit_spline(curve: Curve, p: Places, pieces: int) -> Curve:
     """Return the spline of a number of pieces through positions, at the lengths of their nearest points on a curve."""
     s = curve.nearest(p)
     order = np.argsort(s)
@@ -343,7 +343,7 @@ def _through(curve: Curve, p: Places, pieces: int) -> Curve:
 # ---- the whole hand: its grip, and the rows in selected axes
 
 
-def whole_fit(
+def fit_whole(
     views: Sequence[View], place: RowFit, spans: Sequence[Stretch], settings: Settings, gate: Gate
 ) -> RowFit | None:
     """Fit rows of the whole twist that constrain the hand, more than the rows of its position; None if the grip is
@@ -360,7 +360,7 @@ def whole_fit(
         settings: Settings of the fit.
         gate: Test of the evidence.
     """
-    best, largest, apart = None, (False, WEAK_GAP), turned_by_joints(place.motion)
+    best, largest, apart = None, (False, WEAK_GAP), independent_rotation(place.motion)
     J, few, has_name = place.motion.J, evenly(len(place.motion.x), 50), kind_of(place) is not None
     for view in views:
         motion = Motion.of(view, spans, settings)
@@ -389,7 +389,7 @@ def whole_fit(
     return best
 
 
-def held_kind(known: Placed, motion: Motion) -> tuple[MechanismKind, float, float]:
+def grip_kind(known: Placement, motion: Motion) -> tuple[MechanismKind, float, float]:
     """Return the kind of mechanism with the orientation that it constrains, and the deviation of the orientation.
 
     Args:
@@ -401,7 +401,7 @@ def held_kind(known: Placed, motion: Motion) -> tuple[MechanismKind, float, floa
         there is none. The smallest RMS deviation of the orientation from one that is fixed or carried by the mechanism,
         and the RMS rotation by independent joints [deg], medians of the contacts.
     """
-    place, apart, deviations = known.place, turned_by_joints(motion), list[dict[str, float]]()
+    place, apart, deviations = known.place, independent_rotation(motion), list[dict[str, float]]()
     for T in (motion.poses[p] for p in motion.parts):  # RMS rotation from each orientation that may be constrained
         rotation, away = Rotation.from_matrix(T[:, :3, :3]), T[:, :3, 3] - place.point
         turns, directions = {"fixed": rotation}, dict[str, np.ndarray]()
@@ -427,7 +427,7 @@ def held_kind(known: Placed, motion: Motion) -> tuple[MechanismKind, float, floa
     return max(firm, key=lambda k: (len(k.rows), -rms[k.orientation]), default=known.kind), smallest, apart
 
 
-def turned_by_joints(motion: Motion) -> float:
+def independent_rotation(motion: Motion) -> float:
     """Return the RMS rotation of the hand by independent motions of the joints that are as large as these.
 
     Args:
@@ -441,8 +441,8 @@ def turned_by_joints(motion: Motion) -> float:
     return float(np.degrees(np.median(np.sqrt(np.sum(turns * spread, axis=1)))))
 
 
-def asked_rows(
-    features: FeatureMap, selection: np.ndarray, known: Placed | None, asked: Sequence[FeatureMap], q: np.ndarray
+def select_rows(
+    features: FeatureMap, selection: np.ndarray, known: Placement | None, asked: Sequence[FeatureMap], q: np.ndarray
 ) -> tuple[FeatureMap, Float[np.ndarray, "k r"]]:
     """Return the rows in the requested axes: combinations x Lambda with no share in other columns; else all rows.
 
@@ -460,7 +460,7 @@ def asked_rows(
     if isinstance(features, MechanismRows) and known is not None and names == set(AXES[:3]):
         mine, radius = KINDS[known.kind.kind, "free"].rows, known.mechanism.radius
         if len(poses) == len(asked) and (radius is None or radius >= ON_THE_AXIS):
-            features = movable(features.with_rows(mine, None if known.kind.type == "screw" else radius), q)
+            features = movable_rows(features.with_rows(mine, None if known.kind.type == "screw" else radius), q)
             return features, np.eye(features.n_rows)
     if len(poses) < len(asked) or not isinstance(features, PoseRows | PlaceRows):
         return features, selection

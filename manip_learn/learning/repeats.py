@@ -64,22 +64,22 @@ class IndependentRecordings(NamedTuple):
             return IndependentRecordings(given, tuple(((i, 0.0),) for i in range(len(given))), given)
         renamed = [dataclasses.replace(t, name=name) for t, name in zip(given, distinct_names(given), strict=True)]
         paths = [_Path(t) for t in renamed]
-        joined = [_joined(renamed, chain) for chain in _chains(paths)]
+        joined = [_join_pieces(renamed, chain) for chain in _find_chains(paths)]
         whole, origins = [t for t, _ in joined], tuple(origin for _, origin in joined)
         once = "are pieces of one recording, each goes on where another ends; they count once"
         warnings = [f"{t.name} {once}" for t, origin in joined if len(origin) > 1]
         paths = paths if len(whole) == len(given) else [_Path(t) for t in whole]
-        repeated = _repeats(paths)
+        repeated = _find_repeats(paths)
         for first in dict.fromkeys(remaining for remaining, _ in repeated.values()):
             copies = [i for i, (remaining, _) in repeated.items() if remaining == first]
             verb = "repeats" if len(copies) == 1 and len(origins[copies[0]]) == 1 else "repeat"
             text = f"{listed(whole[i].name for i in copies)} {verb} {whole[first].name}"
-            warnings.append(f"{text} ({_near(max(repeated[i][1] for i in copies))}); they count once")
+            warnings.append(f"{text} ({_closeness(max(repeated[i][1] for i in copies))}); they count once")
         remaining = [i for i in range(len(whole)) if i not in repeated]
         for i in remaining:
             if repetition := paths[i].known_from(alone=len(remaining) == 1):
                 since = f"repeats itself from {whole[i].time[repetition[0]]:.1f} s on"
-                warnings.append(f"{whole[i].name} {since} ({_near(repetition[1])}); it counts once")
+                warnings.append(f"{whole[i].name} {since} ({_closeness(repetition[1])}); it counts once")
                 whole[i] = whole[i].part(slice(repetition[0]))
         if not warnings:
             return IndependentRecordings(given, origins, given)
@@ -87,7 +87,7 @@ class IndependentRecordings(NamedTuple):
         return IndependentRecordings(demonstrations, tuple(origins[i] for i in remaining), given, tuple(warnings))
 
 
-def _near(within: float) -> str:
+def _closeness(within: float) -> str:
     return "the same positions " + (f"within {1e3 * within:.1g} mrad" if within > 1e-9 else "exactly")
 
 
@@ -188,7 +188,7 @@ class _Path:
         return start, distance(start, way) or 0.0
 
 
-def once_each(table: Table, stretches: Sequence[Stretch]) -> dict[Stretch, Trajectory]:
+def drop_duplicates(table: Table, stretches: Sequence[Stretch]) -> dict[Stretch, Trajectory]:
     """Return the motion of each stretch from which rows are learnt, without repeats of another stretch of its
     recording.
 
@@ -200,12 +200,12 @@ def once_each(table: Table, stretches: Sequence[Stretch]) -> dict[Stretch, Traje
     pieces = {s: table.moved[s.recording].part(k) for s, k in long}
     for recording in {s.recording for s in pieces}:
         candidates = [s for s in pieces if s.recording == recording]
-        for k in _repeats([_Path(pieces[s]) for s in candidates]) if len(candidates) > 1 else ():
+        for k in _find_repeats([_Path(pieces[s]) for s in candidates]) if len(candidates) > 1 else ():
             del pieces[candidates[k]]
     return pieces
 
 
-def _repeats(paths: Sequence[_Path]) -> dict[int, tuple[int, float]]:
+def _find_repeats(paths: Sequence[_Path]) -> dict[int, tuple[int, float]]:
     """Return the number of a recording that repeats another -> number of the other, and the largest distance [rad]."""
     n_near = 6  # probes that must be near another path
     probes = cKDTree(np.concatenate([p.trajectory.q[p.probes] for p in paths]))
@@ -232,7 +232,7 @@ def _repeats(paths: Sequence[_Path]) -> dict[int, tuple[int, float]]:
     return {i: original(i) for i in repeated}
 
 
-def _chains(paths: Sequence[_Path]) -> list[list[int]]:
+def _find_chains(paths: Sequence[_Path]) -> list[list[int]]:
     """Return the numbers of recordings that continue each other smoothly, in order, the likeliest seams joined first.
 
     A piece with one seam in motion, or on a continuing clock, may also be joined where it is at rest.
@@ -251,10 +251,10 @@ def _chains(paths: Sequence[_Path]) -> list[list[int]]:
         step = np.mean(np.linalg.norm(np.diff(a.q[-width[0] - 1 :], axis=0), axis=1))
         for after in (long[k] for k in np.flatnonzero(np.linalg.norm(starts - a.q[-1], axis=1) <= width[0] * step)):
             b = paths[after].trajectory
-            half, later = int(np.clip(min(len(a), len(b)) // share, *width)), b.q[_shared(a, b) :]
+            half, later = int(np.clip(min(len(a), len(b)) // share, *width)), b.q[_shared_samples(a, b) :]
             seam = np.concatenate([a.q[-half:], later[:half]])
-            residual = float(_left_by_cubics(seam, 2 * half)[0])
-            usual = max(float(np.max(_left_by_cubics(q, 2 * half))) for q in (a.q, later))
+            residual = float(_cubic_residuals(seam, 2 * half)[0])
+            usual = max(float(np.max(_cubic_residuals(q, 2 * half))) for q in (a.q, later))
             speed = (paths[before].way[-1] + paths[after].way[-1]) / (len(a) + len(b))
             through, pause = np.linalg.norm(seam[-1] - seam[0]), b.time[0] - a.time[-1]
             moves = residual < SLIGHT * extent and through > max(ratio * speed * 2 * half, residual / ratio)
@@ -273,7 +273,7 @@ def _chains(paths: Sequence[_Path]) -> list[list[int]]:
     return list(chains.values())
 
 
-def _left_by_cubics(q: Float[np.ndarray, "T n"], width: int) -> Float[np.ndarray, " k"]:
+def _cubic_residuals(q: Float[np.ndarray, "T n"], width: int) -> Float[np.ndarray, " k"]:
     """Return the RMS residual of a cubic in each window of `width` samples [rad]."""
     basis = np.linalg.qr(np.linspace(-1.0, 1.0, width)[:, None] ** np.arange(4))[0]
     windows = np.lib.stride_tricks.sliding_window_view(q, width, axis=0)
@@ -281,12 +281,12 @@ def _left_by_cubics(q: Float[np.ndarray, "T n"], width: int) -> Float[np.ndarray
     return np.sqrt(np.mean(np.sum(residuals**2, axis=1), axis=1))
 
 
-def _shared(before: Trajectory, after: Trajectory) -> int:
+def _shared_samples(before: Trajectory, after: Trajectory) -> int:
     """Return 1 if the second piece begins with the last sample of the first; else 0."""
     return int(np.array_equal(before.q[-1], after.q[0]))
 
 
-def _joined(given: Sequence[Trajectory], chain: list[int]) -> tuple[Trajectory, tuple[tuple[int, float], ...]]:
+def _join_pieces(given: Sequence[Trajectory], chain: list[int]) -> tuple[Trajectory, tuple[tuple[int, float], ...]]:
     """Join the pieces of a recording, with the clock of the first; return it with its origin.
 
     Where the clock does not continue, a piece begins one step after the previous one.
@@ -294,7 +294,7 @@ def _joined(given: Sequence[Trajectory], chain: list[int]) -> tuple[Trajectory, 
     parts, origin = [given[chain[0]]], [(chain[0], 0.0)]
     for i in chain[1:]:
         a, added = given[origin[-1][0]], origin[-1][1]
-        parts.append(given[i].part(slice(_shared(a, given[i]), None)))
+        parts.append(given[i].part(slice(_shared_samples(a, given[i]), None)))
         step, pause = float(np.median(np.diff(a.time))), float(parts[-1].time[0] - a.time[-1])
         origin.append((i, added if 0.0 < pause <= 2.0 * step else added + step - pause))
     if len(parts) == 1:

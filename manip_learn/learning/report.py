@@ -23,7 +23,7 @@ from manip_learn.constraint.constraint import Constraint, describe, free_directi
 from manip_learn.constraint.mechanism import Mechanism, known_to
 from manip_learn.constraint.shown import intention_of, shown_by
 from manip_learn.errors import counted, error_in_words, few, listed, named, printable
-from manip_learn.learning.answer import IN_ONE_ONLY, Answer, Found
+from manip_learn.learning.answer import IN_ONE_ONLY, Answer, Answers
 from manip_learn.learning.gate import RowSupport
 from manip_learn.learning.repeats import IndependentRecordings
 from manip_learn.learning.table import CLEAR_GAP, Table, excitation
@@ -89,13 +89,13 @@ class RecordingOverview(NamedTuple):
         unlearnt = [p for p in self.phases if p.reason]
         if not free and not unlearnt and len(numbers) < 2:
             return ()
-        out = [f"constraint {k + 1} is held {_where([p for p in self.phases if p.constraint == k])}" for k in numbers]
+        out = [f"constraint {k + 1} is held {_spans([p for p in self.phases if p.constraint == k])}" for k in numbers]
         out += [f"free motion in {counted(free, 'stretch')}"] if free else []
-        out += [f"not learnt {_where([p])}: {p.reason}" for p in unlearnt]
+        out += [f"not learnt {_spans([p])}: {p.reason}" for p in unlearnt]
         return tuple(map(printable, out))
 
 
-def _where(phases: Sequence[_Phase]) -> str:
+def _spans(phases: Sequence[_Phase]) -> str:
     """Return the first phases in words, and the number of the others."""
     most = 6  # stretches in words
     return few([f"from {p.start:.2f} s to {p.end:.2f} s in {p.trajectory}" for p in phases], most)
@@ -298,7 +298,7 @@ def parts_in_words(parts: Uncertainty, reference: str | None) -> str:
 Learnt = tuple[Constraint, Constraint, LearningReport]
 
 
-def reports(found: Found, context: Context) -> list[Learnt]:
+def make_reports(found: Answers, context: Context) -> list[Learnt]:
     """Return the whole constraint of each answer, the constraint in the requested rows, and the report on the latter.
 
     Args:
@@ -321,7 +321,7 @@ def reports(found: Found, context: Context) -> list[Learnt]:
     warnings = [*recordings.warnings, *found.warnings]
     if alone := [p for p in phases if p.reason == IN_ONE_ONLY]:
         contacts = f"{counted(len(alone), 'contact')} that one recording alone shows"
-        warnings.append(f"record again, at least twice, {contacts}: {_where(alone)}")
+        warnings.append(f"record again, at least twice, {contacts}: {_spans(alone)}")
     if odd:
         reasons = "; ".join(f"{o.trajectory}: {o.reason}" for o in odd)
         out = "what does not agree was left out of the first constraint"

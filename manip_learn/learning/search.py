@@ -169,7 +169,7 @@ def least_used(M: np.ndarray, S: np.ndarray, noise: np.ndarray) -> tuple[np.ndar
     return np.sqrt(np.maximum(values, noise[:, None])), vectors.transpose(0, 2, 1) @ inverse
 
 
-def distinct(rows: np.ndarray, most: int | None = None) -> list[int]:
+def distinct_rows(rows: np.ndarray, most: int | None = None) -> list[int]:
     """Return the numbers of the first rows with different row spaces.
 
     Args:
@@ -185,7 +185,7 @@ def distinct(rows: np.ndarray, most: int | None = None) -> list[int]:
     return numbers
 
 
-def proposed(m: Samples, states: np.ndarray, largest: int, whole: bool) -> list[np.ndarray]:
+def propose_rows(m: Samples, states: np.ndarray, largest: int, whole: bool) -> list[np.ndarray]:
     """Propose rows: those least used in windows of free motion, and in recordings, pairs and all samples of each state.
 
     Args:
@@ -244,7 +244,7 @@ def proposed(m: Samples, states: np.ndarray, largest: int, whole: bool) -> list[
             clear = np.flatnonzero(gap > WEAK_GAP)
             candidates.append(orthonormal_rows(directions[clear[np.argsort(-gap[clear])][:most], :s]))
         rows = np.concatenate(candidates)
-        out.append(rows[distinct(rows)])
+        out.append(rows[distinct_rows(rows)])
     return out
 
 
@@ -297,7 +297,7 @@ class Explanation:
         """
         own_samples = self.states == k + 1
         baseline = np.where((self.states > 0) & ~own_samples, self.others[k], 0.0)
-        return fitted(self.views, [start], own_samples[:, None], baseline, self.switch)[0]
+        return fit_hypotheses(self.views, [start], own_samples[:, None], baseline, self.switch)[0]
 
     def settled(self) -> Explanation:
         """Fit each hypothesis to the samples that it explains, and repeat while the total evidence grows."""
@@ -345,7 +345,7 @@ class Explanation:
         return out
 
 
-def scored(
+def score_hypotheses(
     views: Sequence[View], tried: Sequence[Hypothesis], scales: Sequence[Scale], baseline: np.ndarray, switch: float
 ) -> np.ndarray:
     """Return the gain of each recording over the baseline by each hypothesis at each scale.
@@ -374,7 +374,7 @@ def scored(
     return np.concatenate(out, axis=1)
 
 
-def fitted(
+def fit_hypotheses(
     views: Sequence[View], hypotheses: Sequence[Hypothesis], held: np.ndarray, baseline: np.ndarray, switch: float
 ) -> list[Hypothesis]:
     """Fit each hypothesis to its samples: take the rows that they use least, at the scale with the largest gain.
@@ -397,7 +397,7 @@ def fitted(
             M, S = (m.rates.T * w) @ m.rates, np.tensordot(w, m.gram, axes=1)
             h = replace(h, rows=orthonormal_rows(least_used(M[None], S[None], np.zeros(1))[1][0, : len(h.rows)]))
         out.append(h)
-    gains = scored(views, out, SCALES, baseline, switch)
+    gains = score_hypotheses(views, out, SCALES, baseline, switch)
     best = gains.sum(axis=0).argmax(axis=1)
     return [replace(out[i], scale=SCALES[k], gains=gains[:, i, k]) for i, k in enumerate(best)]
 
@@ -418,22 +418,22 @@ def candidates(now: Explanation, allowed: Sequence[int]) -> list[Hypothesis]:
         # other views include the whole twist; `explain` moves their hypotheses back to this view at the end
         if isinstance(f, FrameJacobian) and (f.reference, f.n_rows) == ("world", 6) and f.frame in whole:
             continue
-        for rows in proposed(views[number].thin, now.states, views[number].largest, bool(np.isinf(switch))):
+        for rows in propose_rows(views[number].thin, now.states, views[number].largest, bool(np.isinf(switch))):
             proposals = [Hypothesis(number, one) for one in rows]
             # two scales suffice for a comparison
-            gains = scored(views, proposals, ((2.0, 0.1), (2.0, 0.01)), baseline, switch)
+            gains = score_hypotheses(views, proposals, ((2.0, 0.1), (2.0, 0.01)), baseline, switch)
             support = (gains.sum(axis=0) - (gains.max(axis=0) if len(gains) > 1 else 0.0)).max(axis=1)
             order = np.argsort(-support, kind="stable")
             order = order[support[order] > 0.0]
-            best += [proposals[i] for i in order[distinct(rows[order], most)]]
-    going, out = fitted(views, best, np.zeros((len(baseline), len(best)), dtype=bool), baseline, switch), []
+            best += [proposals[i] for i in order[distinct_rows(rows[order], most)]]
+    going, out = fit_hypotheses(views, best, np.zeros((len(baseline), len(best)), dtype=bool), baseline, switch), []
     for _ in range(TURNS):
         if not going:
             break
         each = (evidence(views[h.view].thin, h.rows[None], [h.scale])[:, 0, 0] for h in going)
         values = np.column_stack([nats - baseline for nats in each])
         states = viterbi(values[:, :, None], views[0].thin.first, switch)[0] > 0
-        pairs = list(zip(going, fitted(views, going, states, baseline, switch), strict=True))
+        pairs = list(zip(going, fit_hypotheses(views, going, states, baseline, switch), strict=True))
         out += [old for old, new in pairs if new.gains.sum() <= old.gains.sum()]
         going = [new for old, new in pairs if new.gains.sum() > old.gains.sum()]
     return out + going
@@ -442,7 +442,7 @@ def candidates(now: Explanation, allowed: Sequence[int]) -> list[Hypothesis]:
 Test = Callable[[View, Hypothesis, Sequence[Stretch]], bool]
 
 
-def added(now: Explanation, believed: Test, refused: list[Hypothesis], allowed: Sequence[int]) -> Explanation:
+def add_hypotheses(now: Explanation, believed: Test, refused: list[Hypothesis], allowed: Sequence[int]) -> Explanation:
     """Add accepted hypotheses from the allowed views, one at a time.
 
     Args:
@@ -498,10 +498,10 @@ def explain(views: Sequence[View], believed: Test, switch: float, first: int = 0
     """
     least_share = 0.2  # of the motion: if the position explains less, the whole twist is searched
     refused = list[Hypothesis]()
-    now = added(Explanation(views, (), switch), believed, refused, range(first))
+    now = add_hypotheses(Explanation(views, (), switch), believed, refused, range(first))
     moving = now.states[views[0].thin.moving]
     if np.count_nonzero(moving) < least_share * max(len(moving), 1):
-        now = added(now, believed, refused, range(first, len(views)))
+        now = add_hypotheses(now, believed, refused, range(first, len(views)))
     # move each hypothesis to the first view in which as many rows explain no less, net of their price
     for k, h in enumerate(now.hypotheses):
         for number, view in enumerate(views[: h.view]):

@@ -13,7 +13,7 @@ from manip_learn.constraint.features.feature_map import FeatureMap
 from manip_learn.constraint.shown import Take, shown_by
 from manip_learn.constraint.skill import MOST_TAKES, Skill, Step
 from manip_learn.errors import counted
-from manip_learn.learning.answer import Found
+from manip_learn.learning.answer import Answers
 from manip_learn.learning.table import Table
 from manip_learn.recordings.trajectory import Trajectory, evenly
 
@@ -25,7 +25,7 @@ class _Contact(NamedTuple):
     piece: Trajectory
 
 
-def skill_of(constraints: Sequence[Constraint], found: Found, table: Table) -> Skill:
+def build_skill(constraints: Sequence[Constraint], found: Answers, table: Table) -> Skill:
     """Build the skill: the constraints in the order in which most recordings show them, each with its demonstrated
     motion.
 
@@ -66,7 +66,7 @@ def skill_of(constraints: Sequence[Constraint], found: Found, table: Table) -> S
             between = [-np.inf, *ends, np.inf][2 * place : 2 * place + 4]
             takes.append(Take.of(constraint.robot, table.moved[recording], *between))
         reach = Step("reach", constraint, **opening)
-        closing, opening = _gripping(constraint.features, table, usual_ones, place)
+        closing, opening = _grip_motion(constraint.features, table, usual_ones, place)
         steps += [reach, Step("way", constraint, demonstrated, takes=tuple(takes), **closing)]
     ends = [(contacts[-1].piece.q[-1], table.moved[recording].q[-1]) for recording, contacts in usual_ones.items()]
     twist = constraints[usual[-1]].features.twist
@@ -78,7 +78,7 @@ def skill_of(constraints: Sequence[Constraint], found: Found, table: Table) -> S
     return Skill(tuple(constraints), tuple(steps), (note,) if times < len(order) else ())
 
 
-def _gripping(features: FeatureMap, table: Table, chosen: dict[int, list[_Contact]], k: int) -> list[dict[str, Any]]:
+def _grip_motion(features: FeatureMap, table: Table, chosen: dict[int, list[_Contact]], k: int) -> list[dict[str, Any]]:
     """Return the arguments of `Step` that close a gripper as contact begins, and those that open it again.
 
     Both are empty unless in most recordings joints that do not move the hand move or press as contact begins.

@@ -129,7 +129,7 @@ class Hand:
         robot, self.of = features.robot, features.twist
         continuous = [None if robot is None else positions_along(t, robot) for t in table.moved]
         self.x = np.concatenate([t.q if x is None else x for x, t in zip(continuous, table.moved, strict=True)])
-        self.step = np.concatenate([steps_along(robot, self.x), np.zeros((1, table.u.shape[1]))])
+        self.step = np.concatenate([tangents(robot, self.x), np.zeros((1, table.u.shape[1]))])
         self.step[table.first[1:] - 1] = 0.0
         self.poses, self.J = (None, None) if self.of is None else (self.of.poses(table.q), self.of.batch(table.q))
 
@@ -442,7 +442,7 @@ class View:
         return pivoted_rows(rows @ self.W)
 
 
-def maps_of(asked: Sequence[FeatureMap], table: Table, what: Literal["place", "whole", "surface"]) -> list[FeatureMap]:
+def row_maps(asked: Sequence[FeatureMap], table: Table, what: Literal["place", "whole", "surface"]) -> list[FeatureMap]:
     """Return the feature maps to search for any requested axes: along those axes, and where mechanisms are constant
     rows.
 
@@ -475,7 +475,7 @@ def maps_of(asked: Sequence[FeatureMap], table: Table, what: Literal["place", "w
     return list(distinct.values())
 
 
-def steps_along(robot: Robot | None, x: np.ndarray) -> np.ndarray:
+def tangents(robot: Robot | None, x: np.ndarray) -> np.ndarray:
     """Return the tangent vectors from each posture to the next.
 
     Args:
@@ -546,7 +546,7 @@ def refuse_unusable(recorded: Demonstrations, derived: Demonstrations, features:
         raise NotIdentifiableError(f"{frame!r} stood still: {why}", code="still-hand")
 
 
-def unusable(table: Table, r: int, n_constraints: int | None) -> NotIdentifiableError | RecordingError | None:
+def table_refusal(table: Table, r: int, n_constraints: int | None) -> NotIdentifiableError | RecordingError | None:
     """Return the reason why rows cannot be learnt from these samples; None if there is none.
 
     Args:
@@ -591,7 +591,7 @@ def unusable(table: Table, r: int, n_constraints: int | None) -> NotIdentifiable
 # the reader. Half of 16,361 samples of fifty drawers turn the answer by 0.0005 degrees, less than its uncertainty.
 
 
-class Kept(NamedTuple):
+class KeptRecording(NamedTuple):
     """Recording of which every `step`-th sample is kept, or every `coarsest`-th at most."""
 
     motion: Trajectory
@@ -622,13 +622,13 @@ class EvenChoice:
     def __init__(self, most: int, derive: Callable[[Demonstrations], Demonstrations], part: Reader | None = None):
         fewest = 20  # recordings kept of more, however long: evidence from fewer is thin
         self._most, self._derive, self._held = most, derive, 0
-        self.kept, self.notes, self.n_recordings = list[Kept](), list[str](), 0
+        self.kept, self.notes, self.n_recordings = list[KeptRecording](), list[str](), 0
         self._totals = np.zeros(len(STEPS), dtype=np.int64)  # samples of all recordings that each step would keep
         for t in () if part is None else part(self.notes):
             # time stamps are rounded; a recording keeps enough samples for phases, but no more than its share
             rate, share = (len(t) - 1) / max(t.duration, 1e-9) * (1.0 + 1e-6), self._most / fewest
             coarsest = int(STEPS[(rate / STEPS >= SCAN_RATE) | (2 * len(t) / STEPS > share)].max(initial=1))
-            self.kept.append(Kept(t, self.n_recordings, coarsest, crc32(t.q.data)))
+            self.kept.append(KeptRecording(t, self.n_recordings, coarsest, crc32(t.q.data)))
             self._totals += -(-len(t) // np.minimum(STEPS, coarsest))
             self._held += len(t)
             self.n_recordings += 1
@@ -690,13 +690,13 @@ def read_evenly(choose: Callable[..., Any], parts: list[Reader], client: Any, pr
         ManipLearnError: The workers of the client died.
     """
     whole: EvenChoice = choose()
-    for choice in each_part(choose, parts, client, progress):
+    for choice in map_parts(choose, parts, client, progress):
         whole.merge(choice)
     whole.notes = refuse_unmatched(whole.notes, len(parts))
     return whole
 
 
-def each_part(work: Callable[..., Any], parts: list[Reader], client: Any, progress: Progress | None) -> Iterator[Any]:
+def map_parts(work: Callable[..., Any], parts: list[Reader], client: Any, progress: Progress | None) -> Iterator[Any]:
     """Yield work(part) for each part, in order; on the workers of a client if there are several parts.
 
     Args:

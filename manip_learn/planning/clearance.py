@@ -65,7 +65,7 @@ class Surroundings:
             frame: Frame of the hand.
         """
         if scene is None:
-            return Surroundings(Scene(floor=floor_under(robot)).obstacles(robot), frozenset({FLOOR}))
+            return Surroundings(Scene(floor=floor_height(robot)).obstacles(robot), frozenset({FLOOR}))
         handled, hand = frozenset(scene.handled), hand_of(robot, frame)
         return Surroundings(scene.obstacles(robot), frozenset(), handled, hand)
 
@@ -106,7 +106,7 @@ def hand_of(robot: Robot, frame: Frame) -> frozenset[str]:
 
 
 @lru_cache(maxsize=8)
-def floor_under(robot: Robot) -> float:
+def floor_height(robot: Robot) -> float:
     """Return the height of a floor under the base.
 
     Args:

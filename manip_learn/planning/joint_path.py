@@ -69,7 +69,7 @@ def joint_path(
         for grown, number in product(inflations, np.random.SeedSequence(seed).generate_state(n_searches)):
             try:
                 with _LOCK:
-                    knots = _searched(limits, clear, grown, free, (start - turns, goal - turns), int(number) >> 1)
+                    knots = _plan_in_copy(limits, clear, grown, free, (start - turns, goal - turns), int(number) >> 1)
             except (RuntimeError, ValueError) as error:  # the exceptions of RoboPlan
                 why = str(error)
                 break
@@ -80,7 +80,7 @@ def joint_path(
     return None
 
 
-def _searched(
+def _plan_in_copy(
     limits: Limits, clear: Clearance, grown: float, free: Joints, ends: tuple[Posture, Posture], seed: int
 ) -> Float[np.ndarray, "k nv"]:
     """Return RoboPlan's path in a copy with inflated links; empty if start or goal are in contact in it."""
@@ -92,7 +92,7 @@ def _searched(
             core, rrt = import_module("roboplan.core"), import_module("roboplan.rrt")
     except ImportError as error:
         raise MissingExtraError("a path round what is in the way", "plan") from error
-    scene = _copied(clear.links, clear.pairs, limits, grown * clear.least)
+    scene = _copy_scene(clear.links, clear.pairs, limits, grown * clear.least)
     names = np.array([joint_name(block.index) for block in limits.robot.blocks])
     place, start = np.argsort(scene.getJointPositionIndices(names.tolist())), ends[0]
     if any(scene.hasCollisions(q[place]) for q in ends):
@@ -110,7 +110,7 @@ def _searched(
 
 
 @lru_cache(maxsize=8)  # of a few megabytes each
-def _copied(links: SelfCollision, pairs: tuple[tuple[int, int], ...], limits: Limits, larger: float) -> Any:
+def _copy_scene(links: SelfCollision, pairs: tuple[tuple[int, int], ...], limits: Limits, larger: float) -> Any:
     """Return a copy of our scene for RoboPlan, with links inflated by a distance [m]."""
     tolerance = 1e-9  # [rad or m] beyond limits: start and goal may be at a limit
     core = import_module("roboplan.core")

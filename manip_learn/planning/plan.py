@@ -30,7 +30,7 @@ from manip_learn.planning import ways
 from manip_learn.planning.clearance import Clearance, Links, Surroundings
 from manip_learn.planning.joint_path import joint_path
 from manip_learn.planning.scene import Scene
-from manip_learn.planning.stations import Margins, Postures, Stations, margins_of
+from manip_learn.planning.stations import Margins, Postures, Stations, path_margins
 from manip_learn.recordings.load import Progress
 from manip_learn.robot.robot import Robot
 
@@ -280,7 +280,7 @@ class PathPolicy(NullSpacePolicy):
         return f"PathPolicy({len(self.path.x)} knots over {np.ptp(self.path.x):g} s, gain={self.gain:g})"
 
 
-def _slower(motion: FreeDirection, times: float, why: str) -> tuple[FreeDirection, str]:
+def _slow_down(motion: FreeDirection, times: float, why: str) -> tuple[FreeDirection, str]:
     """Return a motion slowed down by a factor, and the reason with both durations in words."""
     slow, distance = motion.slowed(times), way_in_words(motion.wanted, motion.unit)
     return slow, f"{why}: {distance} takes {slow.duration:.3g} s instead of {motion.duration:.3g} s"
@@ -331,7 +331,7 @@ class _Problem:
         self.notes, tip = (), self.limits.barriers
         self.stations = Stations.of(self.motion, self.start, self.limits)
         if (times := self.stations.tip_speed / tip.pace) > 1.01:  # a pace leaves 2 %
-            self.motion, slower = _slower(self.motion, times, f"{tip.speed:.3g} m/s at the tip")
+            self.motion, slower = _slow_down(self.motion, times, f"{tip.speed:.3g} m/s at the tip")
             self.stations, self.notes = Stations.of(self.motion, self.start, self.limits), (slower,)
         around = Surroundings()
         if (scene := self.scene) is not None:
@@ -340,11 +340,9 @@ class _Problem:
                 raise ConfigurationError(f"{expected}, not {an(scene)}")
             features: Any = self.rows.features
             around = Surroundings.of(None if scene == "assumed" else scene, robot, features.frame)
-        recorded = [
-            np.array(x, dtype=np.float64) for x in constraint.provenance.get("postures", ()) if len(x) == robot.nv
-        ]
+        demos = [np.array(x, dtype=np.float64) for x in constraint.provenance.get("postures", ()) if len(x) == robot.nv]
         passed = [q for take in takes for q in take.q[::LOOKED_AT]]
-        self.clear = Clearance(robot, self.collision, around, self.positions, [*recorded, *passed])
+        self.clear = Clearance(robot, self.collision, around, self.positions, [*demos, *passed])
         self.notes = (*self.clear.notes, *self._contradicted(around), *self.notes)
 
         check_inside(robot, self.positions)
@@ -366,14 +364,14 @@ class _Problem:
         for name, (depth, take) in deepest.items():
             yield f"{take} passes {1e3 * depth:.0f} mm inside {name!r}: the scene does not stand where it was shown"
 
-    def marches(self, candidates: int, stations: Stations | None = None) -> ways.Marches:
+    def marches(self, candidates: int, stations: Stations | None = None) -> ways.PathCandidates:
         """Return candidate postures along the motion.
 
         Args:
             candidates: Number of seeds.
             stations: Other stations; None for those of the motion.
         """
-        return ways.marches_of(stations or self.stations, self.positions, candidates, self.rng)
+        return ways.propagate_candidates(stations or self.stations, self.positions, candidates, self.rng)
 
     def followed(self, said: Progress) -> Plan | None:
         """Return a plan that follows the first feasible recording, see `planning.ways`; None if there is none.
@@ -381,7 +379,7 @@ class _Problem:
         Args:
             said: Function of the name of a stage and its completed share.
         """
-        candidates = ways.followed(self.motion, self.takes, self.stations, self.positions)
+        candidates = ways.follow_recordings(self.motion, self.takes, self.stations, self.positions)
         for compared, one in enumerate(candidates):
             name = "the arm as it stands" if one.take is None else one.take.name
             said(f"following {name}", 0.2 + 0.6 * compared / (len(self.takes) + 1))
@@ -424,7 +422,7 @@ class _Problem:
         raise self.refusal(marches, candidates)
 
     def _relaxed(
-        self, marches: ways.Marches, choices: Int[np.ndarray, " k"], clear: Clearance
+        self, marches: ways.PathCandidates, choices: Int[np.ndarray, " k"], clear: Clearance
     ) -> Iterator[ways.Candidate]:
         """Yield clear marches; relaxed if the result is also clear and grasps with the same orientation."""
         most_failures = 3  # of searches for an approach, half a second each: then only straight ones
@@ -433,7 +431,7 @@ class _Problem:
             path = marches.q[march]
             if not clear.of_way(path) or (self.vain >= most_failures and not clear.of_line(self.positions, path[0])):
                 continue
-            better = ways.relaxed(self.stations, path, pinned=stands)
+            better = ways.relax(self.stations, path, pinned=stands)
             if as_shown(better[:1])[0] >= as_shown(path[:1])[0] and clear.of_way(better):
                 path = better
             yield ways.Candidate(self.motion, self.stations, path)
@@ -443,13 +441,13 @@ class _Problem:
         spare, n_checked = 1.1, 60  # times the shortest duration, for feedback; postures for `around`
         motion, stations, take, notes = one.motion, one.stations, one.take, self.notes
         path, turned = one.path, ways.nearest_turn(self.robot, one.path, self.positions)
-        if margins_of(stations, turned).margin >= min(ways.ENOUGH, one.margins.margin):
+        if path_margins(stations, turned).margin >= min(ways.ENOUGH, one.margins.margin):
             path = turned  # the shorter approach
         if (approach := self._approach(path[0], take, clear)) is None:
             return None
         how, to_hold, reach = approach
         if one.margins.speed < 0.0:
-            motion, slower = _slower(motion, spare * (1.0 - one.margins.speed), "the joints are too slow for it")
+            motion, slower = _slow_down(motion, spare * (1.0 - one.margins.speed), "the joints are too slow for it")
             before, stations = np.abs(stations.distance), Stations.of(motion, self.start, self.limits)
             path = np.column_stack([np.interp(np.abs(stations.distance), before, x) for x in path.T])
             notes = (*notes, slower)
@@ -460,7 +458,7 @@ class _Problem:
             return None
         if take is not None:
             notes = (*notes, f"follows {take.name}, the approach {how}")
-        margins = margins_of(stations, path)
+        margins = path_margins(stations, path)
         reach = replace(reach, phases=(("approach", 0.0, float(reach.time[-1])),))
         outcomes = ({**outcome.to_dict(), "margin": margins.margin},)
         way = replace(way, phases=(*((("hold", 0.0, begins),) if begins else ()), ("way", begins, end)), ways=outcomes)
@@ -474,8 +472,8 @@ class _Problem:
         knots = None
         if take is not None:
             before = np.where(self.stations.moving, take.before, self.positions)
-            before = ways.carried(self.constraint.features, before, take.moved)
-            knots = ways.joined(ways.nearest_turn(self.robot, before[::-1], hold)[::-1], self.positions, hold)
+            before = ways.carry_hand(self.constraint.features, before, take.moved)
+            knots = ways.join_approach(ways.nearest_turn(self.robot, before[::-1], hold)[::-1], self.positions, hold)
         try:
             if result := approach(hold, self.start, self.rows, self.limits, clear, self.seed, self.dt, knots):
                 return result
@@ -494,7 +492,7 @@ class _Problem:
 
     # ---- refusals -------------------------------------------------------------------------------------------------
 
-    def refusal(self, marches: ways.Marches, candidates: int) -> NoPlanError:
+    def refusal(self, marches: ways.PathCandidates, candidates: int) -> NoPlanError:
         """Return the refusal with the feasible part of the motion, the cause, and possible remedies, from all marches.
 
         Args:
@@ -530,11 +528,11 @@ class _Problem:
         (link, thing), depth = deepest.links, np.ceil(1e2 * (CLEARANCE - deepest.distance)) / 1e2
         return deepest.links, (f"the {thing} {depth:.2f} m farther from {link} would leave room there",)
 
-    def _stopped_by(self, marches: ways.Marches) -> str:
+    def _stopped_by(self, marches: ways.PathCandidates) -> str:
         """Return the limit that stops the marches that come farthest, in words."""
         last = marches.reached
         if last < 0:
-            gap = ways.out_of_reach(self.stations, self.positions, self.rng)
+            gap = ways.distance_to_grasp(self.stations, self.positions, self.rng)
             return f"the end of the arm's reach: the hand comes within {gap:.2g} m of where it should take hold"
         if last == len(self.stations) - 1:
             return "limits of the loop in simulation"

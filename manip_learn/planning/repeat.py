@@ -26,7 +26,7 @@ from manip_learn.linalg import finite
 from manip_learn.planning.clearance import Clearance
 from manip_learn.planning.plan import LOOKED_AT, Around, Plan, approach, plan
 from manip_learn.planning.stations import Stations
-from manip_learn.planning.ways import carried, joined, nearest_turn
+from manip_learn.planning.ways import carry_hand, join_approach, nearest_turn
 from manip_learn.recordings.load import Progress
 from manip_learn.robot.joints import Frame
 from manip_learn.robot.robot import Robot
@@ -104,7 +104,7 @@ class Repetition:
         return all(step.stopped_by is None for step in self.steps)
 
     def __repr__(self) -> str:
-        return "\n".join([*(f"{i + 1}. {_said(step)}" for i, step in enumerate(self.steps)), self.pace])
+        return "\n".join([*(f"{i + 1}. {_sentence(step)}" for i, step in enumerate(self.steps)), self.pace])
 
     @property
     def pace(self) -> str:
@@ -112,7 +112,7 @@ class Repetition:
         return f"{self.rollout.time[-1]:.3g} s, {self.tip_path:.3g} m of the tip, at most {self.tip_speed:.2g} m/s"
 
 
-def _said(step: StepDone) -> str:
+def _sentence(step: StepDone) -> str:
     distance = f"{way_in_words(step.done, step.unit)} of {way_in_words(step.wanted, step.unit)}"
     margin = "" if step.margin is None else f", margin {step.margin:.0%}"
     return f"{step.name}: {distance}{margin}" + ("" if step.stopped_by is None else f"; stopped by {step.stopped_by}")
@@ -186,9 +186,9 @@ def repeat(
     if prefer not in ("shown", "room"):
         raise ConfigurationError(f"prefer is {prefer!r}: it must be 'shown' or 'room'")
     if (transform := moved if fixture_transform is None else fixture_transform) is not None:
-        skill = skill.moved(_rigid(transform))
+        skill = skill.moved(_check_rigid(transform))
     q, report = robot.checked_posture(start), progress or (lambda _title, _share: None)
-    again = _Again(skill, q, _limited(limits or Limits(robot), tip_speed, skill, q), dt, seed, scene)
+    again = _SkillRun(skill, q, _limit_tip_speed(limits or Limits(robot), tip_speed, skill, q), dt, seed, scene)
     again.notes = [*skill.constraints[0].notes, *skill.notes]
     warnings = [str(doubt) for constraint in skill.constraints for doubt in constraint.provenance.get("warnings") or ()]
     if doubts := list(dict.fromkeys(warnings)):  # warnings about all recordings are repeated in each constraint
@@ -211,7 +211,7 @@ def repeat(
     return again.repetition()
 
 
-def _limited(limits: Limits, tip_speed: TipSpeed, skill: Skill, q: Float[np.ndarray, " n"]) -> Limits:
+def _limit_tip_speed(limits: Limits, tip_speed: TipSpeed, skill: Skill, q: Float[np.ndarray, " n"]) -> Limits:
     """Return limits with the requested tip speed, at a start q.
 
     Raises:
@@ -251,7 +251,7 @@ def _name(number: int, step: Step, skill: Skill) -> str:
     return f"{noun} {len(ways)}" if sum(s.kind == "way" for s in skill.steps) > 1 else noun
 
 
-class _Again:
+class _SkillRun:
     """Skill in progress, see `repeat`."""
 
     def __init__(self, skill: Skill, q: Float[np.ndarray, " n"], limits: Limits, dt: float, seed: int, scene: Around):
@@ -306,10 +306,8 @@ class _Again:
         if constraint is None or constraint.robot is None:
             raise TargetError(f"step {name!r}: no constraint to go along")
         try:
-            demonstrated = motion(constraint)
-            self.plan = result = plan(
-                constraint, demonstrated, self.q, self.seed, takes=step.takes, progress=said, **shared
-            )
+            task = motion(constraint)
+            self.plan = result = plan(constraint, task, self.q, self.seed, takes=step.takes, progress=said, **shared)
         except NoPlanError as refusal:
             raise NoPlanError(f"step {name!r}: {refusal}", **vars(refusal)) from refusal
         robot, frame = result.robot, constraint.features.frame.name  # type: ignore[attr-defined]  # checked by the plan
@@ -319,12 +317,12 @@ class _Again:
         if constraint.shown is not None and len(constraint.shown.grasps):
             position = constraint.features.twist.pose(hold)[:3, 3]  # may be relative to another frame
             off = float(np.min(np.linalg.norm(constraint.shown.grasps[:, :3, 3] - position, axis=1)))
-        fast, title = _fastest(result.approach, robot), f"take hold for {name}"
+        fast, title = _largest_speed_share(result.approach, robot), f"take hold for {name}"
         numbers = abs(outcome.wanted), abs(outcome.done), outcome.unit, outcome.deviation, result.margin
         to_hold, along = result.controller.laws
         reach = StepDone("reach", distance, distance, "m", 0.0, None, None, fast, grasp[:3, 3], title, grasp, off)
-        self.add(to_hold, _named(result.approach, name), reach)
-        way = _named(result.way, name)
+        self.add(to_hold, _name_phases(result.approach, name), reach)
+        way = _name_phases(result.way, name)
         if step.gripper is not None:
             self.grip(step, name, float(way.manipulability[0]))
             fingers, q = [robot.joint_index(joint) for joint in step.fingers], way.q.copy()
@@ -362,12 +360,12 @@ class _Again:
             """
             over = np.eye(4)
             over[:3, 3] = place - hand.pose(robot.configuration(x))[:3, 3]
-            return carried(hand, x[None], over)[0]
+            return carry_hand(hand, x[None], over)[0]
 
         if take is not None and features.relative_to is None:
             moving = [robot.moves(joint, hand.frame) for joint in robot.joint_names]
-            after = nearest_turn(robot, carried(hand, np.where(moving, take.after, here), take.moved), here)
-            knots = joined(after, here, brought(after[-1]))
+            after = nearest_turn(robot, carry_hand(hand, np.where(moving, take.after, here), take.moved), here)
+            knots = join_approach(after, here, brought(after[-1]))
         rows, end, stopped = last.task.rows(last.constraint), brought(here), None  # rows of the last motion
         to = partial(approach, start=self.q, rows=rows, limits=limits, clear=clear, seed=self.seed, dt=self.dt)
         if (result := to(end, shown=knots)) is None:  # the hand stays where it has released
@@ -376,7 +374,7 @@ class _Again:
         if result is None:
             raise NoPlanError(f"step {name!r}: the arm touches something where the last way ends")
         _, law, rollout = result
-        end, fast = hand.pose(rollout.q[-1])[:3, 3], _fastest(rollout, robot)
+        end, fast = hand.pose(rollout.q[-1])[:3, 3], _largest_speed_share(rollout, robot)
         off = float(np.linalg.norm(end - place))
         outcome = StepDone("reach", distance, max(0.0, distance - off), "m", off, None, stopped, fast, end, name)
         self.add(law, replace(rollout, phases=((name, 0.0, float(rollout.time[-1])),), ways=()), outcome)
@@ -391,19 +389,19 @@ class _Again:
         return Repetition(self.skill, whole, tuple(self.done), LawSequence(*self.laws), *numbers, tuple(self.notes))
 
 
-def _fastest(rollout: Rollout, robot: Robot) -> float:
+def _largest_speed_share(rollout: Rollout, robot: Robot) -> float:
     """Return the largest share of a joint's velocity limit in a motion."""
     return float(np.max(np.abs(rollout.u) / robot.velocity_limit))
 
 
-def _named(rollout: Rollout, name: str) -> Rollout:
+def _name_phases(rollout: Rollout, name: str) -> Rollout:
     """Return a rollout whose phases and ways carry the name of their step."""
     phases = tuple((f"{name}: {part}", start, end) for part, start, end in rollout.phases)
     ways = tuple({**way, "name": name, "constraint": rollout.constraint} for way in rollout.ways)
     return replace(rollout, phases=phases, ways=ways)
 
 
-def _rigid(moved: ArrayLike) -> Float[np.ndarray, "4 4"]:
+def _check_rigid(moved: ArrayLike) -> Float[np.ndarray, "4 4"]:
     T = finite(moved, 4, 4)
     if T is None or np.max(np.abs((R := T[:3, :3]) @ R.T - np.eye(3))) > 1e-6 or np.linalg.det(R) < 0:
         raise TargetError(

@@ -62,13 +62,10 @@ class Thing:
         shape = _mesh(self, where) if isinstance(self, Mesh) else Solid(kind, tuple(sizes))
         span = np.array(sizes) if isinstance(shape, Solid) else np.ptp(shape.vertices, axis=0)
         fix = "divide by 1000" if isinstance(shape, Solid) else "give scale=0.001"
-        for quantity, metres, remedy in (
-            ("size", span.max(), fix),
-            ("place", np.abs(pose[:3, 3]).max(), "divide by 1000"),
-        ):
+        for item, metres, remedy in (("size", span.max(), fix), ("place", np.abs(pose[:3, 3]).max(), "divide by 1000")):
             if metres > LARGEST:
                 expected = f"at most {LARGEST:g} m is expected; if it is in millimetres, {remedy}"
-                raise SceneError(f"{where}: its {quantity} is {metres:g} m; {expected}")
+                raise SceneError(f"{where}: its {item} is {metres:g} m; {expected}")
         for name, value in (("pose", pose), ("shape", shape), ("span", float(span.max()))):
             object.__setattr__(self, name, value)
 
@@ -257,7 +254,7 @@ class Scene:
             if not content.strip():
                 raise SceneError('the file is empty; a scene is expected, e.g. {"floor": 0.0}; write one')
             is_xml = content.lstrip(b"\xef\xbb\xbf \t\r\n").startswith(b"<")
-            scene = _described(content, file) if is_xml else _made(Scene, parsed_json(content), "the scene", file)
+            scene = _from_xml(content, file) if is_xml else _from_json(Scene, parsed_json(content), "the scene", file)
         except (SceneError, TypeError, ValueError) as error:
             problem = error if isinstance(error, SceneError) else f"it is no scene ({error}); repair it"
             raise SceneError(f"{file}: {problem}") from error
@@ -285,7 +282,7 @@ class Scene:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the content of a scene file, see `load`, with absolute paths of mesh files."""
-        things = {field: [_plain(thing) for thing in getattr(self, field)] for field in _KINDS}
+        things = {field: [_to_json(thing) for thing in getattr(self, field)] for field in _KINDS}
         floor = {} if self.floor is None else {"floor": float(self.floor)}
         return floor | {field: all_ for field, all_ in things.items() if all_} | {"handled": list(self.handled)}
 
@@ -303,7 +300,7 @@ class Scene:
         return f"Scene: {', '.join(parts) or 'nothing'}"
 
 
-def _plain(thing: Any) -> dict[str, Any]:
+def _to_json(thing: Any) -> dict[str, Any]:
     """Return the fields of an obstacle for JSON; a pose without a rotation as a position."""
     out: dict[str, Any] = {field.name: getattr(thing, field.name) for field in fields(thing)}
     if "pose" in out and np.array_equal(thing.pose[:3, :3], np.eye(3)):
@@ -314,7 +311,7 @@ def _plain(thing: Any) -> dict[str, Any]:
     return {key: value if isinstance(value, str | list) else np.asarray(value).tolist() for key, value in out.items()}
 
 
-def _made(kind: Any, content: Any, where: str, file: Path) -> Any:
+def _from_json(kind: Any, content: Any, where: str, file: Path) -> Any:
     """Make a scene or one of its obstacles from the content of a file."""
     if not isinstance(content, Mapping):
         raise SceneError(f"{where} is {content!r:.80}; an object of JSON, in braces, is expected; correct it")
@@ -326,13 +323,13 @@ def _made(kind: Any, content: Any, where: str, file: Path) -> Any:
     if missing := [repr(name) for name, needed in is_required.items() if needed and name not in values]:
         raise SceneError(f"{where} lacks {named('key', missing)}; give a value")
     for field, thing in _KINDS.items() if kind is Scene else ():
-        values[field] = [_made(thing, v, f"{field}[{i}]", file) for i, v in enumerate(values.get(field, ()))]
+        values[field] = [_from_json(thing, v, f"{field}[{i}]", file) for i, v in enumerate(values.get(field, ()))]
     if isinstance(source := values.get("source"), str):
         values["source"] = file.parent / Path(source).expanduser()
     return kind(**values)
 
 
-def _described(content: bytes, file: Path) -> Scene:
+def _from_xml(content: bytes, file: Path) -> Scene:
     """Return the scene of a URDF or MJCF."""
     root = parse_xml(content, file)
     if root.tag == "mujoco":

@@ -170,10 +170,10 @@ class Stations:
             The postures, and a mask (n,) of those that are at their station.
         """
         turns = self.turns[station] @ self.grasp if self.holds_orientation else None
-        return onto_poses(self.hand, self.limits.robot, q, self.places[station], turns, self.rows[station], steps)
+        return solve_ik(self.hand, self.limits.robot, q, self.places[station], turns, self.rows[station], steps)
 
 
-def onto_poses(
+def solve_ik(
     hand: Any,
     robot: Robot,
     q: Postures,
@@ -273,10 +273,10 @@ def node_margins(
     squares = np.linalg.eigvalsh(weighted @ weighted.transpose(0, 2, 1))[:, 0]
     sigma = np.sqrt(np.maximum(squares, 0.0))
     log_mu = 0.5 * np.linalg.slogdet(A @ A.transpose(0, 2, 1))[1]
-    return sigma / (sigma + 1.0), np.min(rooms(stations, q), axis=1), np.maximum(log_mu, least_log)
+    return sigma / (sigma + 1.0), np.min(slack(stations, q), axis=1), np.maximum(log_mu, least_log)
 
 
-def rooms(stations: Stations, q: Postures) -> Postures:
+def slack(stations: Stations, q: Postures) -> Postures:
     """Return the remaining share of half of each joint's range.
 
     Args:
@@ -313,10 +313,10 @@ def margin_of(motion: FreeDirection, rollout: Rollout, begins: float | None, rob
     inside = begins + stations.time <= rollout.time[-1] + 1e-9
     positions = np.array([robot.positions(q) for q in rollout.q])
     q = np.column_stack([np.interp(begins + stations.time[inside], rollout.time, column) for column in positions.T])
-    return margins_of(stations, q).margin if len(q) > 1 else None
+    return path_margins(stations, q).margin if len(q) > 1 else None
 
 
-def margins_of(stations: Stations, q: Postures) -> Margins:
+def path_margins(stations: Stations, q: Postures) -> Margins:
     """Return the margins of a whole motion.
 
     Args:
@@ -324,7 +324,7 @@ def margins_of(stations: Stations, q: Postures) -> Margins:
         q: Postures (k, nv) at the first k stations [rad or m].
     """
     k, names = np.arange(len(q)), stations.limits.robot.joint_names
-    weakest, ranges = node_margins(stations, q, k)[0], rooms(stations, q)
+    weakest, ranges = node_margins(stations, q, k)[0], slack(stations, q)
     shares = np.abs(np.diff(q, axis=0)) / np.diff(stations.time[: len(q)])[:, None] / stations.limits.velocity
     fastest = shares.max(axis=0, initial=0.0)
     weak, (tight, joint) = int(np.argmin(weakest)), np.unravel_index(np.argmin(ranges), ranges.shape)

@@ -27,7 +27,7 @@ from manip_learn.constraint.mechanism import ON_THE_AXIS
 from manip_learn.constraint.shown import Shown, Take
 from manip_learn.control.joint_motion import ARRIVED
 from manip_learn.control.tasks.motion import FreeDirection
-from manip_learn.planning.stations import Margins, Postures, Stations, margins_of, node_margins, onto_poses, rooms
+from manip_learn.planning.stations import Margins, Postures, Stations, node_margins, path_margins, slack, solve_ik
 from manip_learn.robot.robot import Robot
 from manip_learn.robot.rotations import rotation_matrix, rotation_vector
 
@@ -57,10 +57,10 @@ class Candidate:
     @cached_property
     def margins(self) -> Margins:
         """Margins of the path."""
-        return margins_of(self.stations, self.path)
+        return path_margins(self.stations, self.path)
 
 
-def grasps_of(takes: Sequence[Take], shown: Shown, features: Any) -> list[Float[np.ndarray, "4 4"]]:
+def demonstrated_grasps(takes: Sequence[Take], shown: Shown, features: Any) -> list[Float[np.ndarray, "4 4"]]:
     """Return the grasp pose of each recording, at the current place of the fixtures.
 
     If all contacts began at one place, each grasp is moved to that place along the mechanism.
@@ -104,7 +104,7 @@ def nearest_turn(robot: Robot, q: Float[np.ndarray, "n nv"], near: Float[np.ndar
     return np.where(beyond, q, moved)
 
 
-def carried(features: Any, q: Postures, moved: Float[np.ndarray, "4 4"]) -> Postures:
+def carry_hand(features: Any, q: Postures, moved: Float[np.ndarray, "4 4"]) -> Postures:
     """Return postures with the hand carried along with its fixture, by Newton's method.
 
     Args:
@@ -121,11 +121,11 @@ def carried(features: Any, q: Postures, moved: Float[np.ndarray, "4 4"]) -> Post
     for part in np.arange(1, n_parts + 1) / n_parts:
         R = rotation_matrix(part * turn)
         places, turns = poses[:, :3, 3] @ R.T + part * moved[:3, 3], R @ poses[:, :3, :3]
-        q, _ = onto_poses(features.twist, robot, q, places, turns, rows, MARCH_STEPS)
+        q, _ = solve_ik(features.twist, robot, q, places, turns, rows, MARCH_STEPS)
     return q
 
 
-def followed(
+def follow_recordings(
     motion: FreeDirection, takes: Sequence[Take], stations: Stations, positions: Float[np.ndarray, " nv"]
 ) -> Iterator[Candidate]:
     """Yield joint paths from the current configuration, if the hand is on the mechanism, and from recordings.
@@ -142,11 +142,11 @@ def followed(
         Candidates, at most one with enough margin for each recording.
     """
     others = list[Candidate]()
-    for take, variant, at, ways in _tries(motion, takes, stations, positions):
+    for take, variant, at, ways in _attempts(motion, takes, stations, positions):
         for path in (path for way in ways if (path := way()) is not None):
             candidate = Candidate(variant, at, path, take)
             if candidate.margins.margin < ENOUGH:
-                better = replace(candidate, path=relaxed(at, path, pinned=True))
+                better = replace(candidate, path=relax(at, path, pinned=True))
                 candidate = max(candidate, better, key=lambda one: one.margins.margin)
             if candidate.margins.margin >= ENOUGH:
                 yield candidate
@@ -155,28 +155,28 @@ def followed(
     yield from sorted(others, key=lambda one: -one.margins.margin)
 
 
-def _tries(
+def _attempts(
     motion: FreeDirection, takes: Sequence[Take], stations: Stations, positions: Float[np.ndarray, " nv"]
 ) -> Iterator[tuple[Take | None, FreeDirection, Stations, list[Callable[[], Way | None]]]]:
-    """Yield a recording, its motion and stations, and functions that return its joint path, see `followed`."""
+    """Yield a recording, its motion and stations, and functions that return its joint path, see `follow_recordings`."""
     shown, features, robot = motion.learnt.shown, motion.learnt.features, stations.limits.robot
     start = robot.configuration(positions)
     if motion.hold(start) == 0.0:
-        yield None, motion, stations, [partial(_marched, stations, positions)]
+        yield None, motion, stations, [partial(_plain_path, stations, positions)]
     if shown is None:
         return
-    takes = [take for take in takes if _begins_held(take, shown, features)] or takes
-    both = list(zip(takes, grasps_of(takes, shown, features), strict=True))
+    takes = [take for take in takes if _begins_in_contact(take, shown, features)] or takes
+    both = list(zip(takes, demonstrated_grasps(takes, shown, features), strict=True))
     far = [np.max(np.abs(nearest_turn(robot, take.along[:1], positions) - positions)) for take in takes]
     for k in np.argsort(far, kind="stable").tolist():
         take, grasp = both[k]
         variant = motion.taking_hold(grasp)
         at, q = Stations.of(variant, start, stations.limits), np.where(stations.moving, take.along, positions)
-        first = carried(features, q[:1], take.moved)[0]
-        yield take, variant, at, [partial(_as_shown, shown, at, take, q, features), partial(_marched, at, first)]
+        first = carry_hand(features, q[:1], take.moved)[0]
+        yield take, variant, at, [partial(_from_take, shown, at, take, q, features), partial(_plain_path, at, first)]
 
 
-def _begins_held(take: Take, shown: Shown, features: Any) -> bool:
+def _begins_in_contact(take: Take, shown: Shown, features: Any) -> bool:
     """Return True if the hand was on the mechanism at the beginning of the contact, judged by its later motion."""
     tolerance = 5e-3  # [m] of the place where contacts begin
     poses = take.moved @ features.twist.poses(take.along)
@@ -185,7 +185,7 @@ def _begins_held(take: Take, shown: Shown, features: Any) -> bool:
     return float(np.linalg.norm(expected[:3, 3] - poses[0, :3, 3])) <= tolerance
 
 
-def _as_shown(shown: Shown, at: Stations, take: Take, q: Postures, features: Any) -> Way | None:
+def _from_take(shown: Shown, at: Stations, take: Take, q: Postures, features: Any) -> Way | None:
     """Return the recorded joint path, smoothed along the way and brought onto its stations."""
     grasp_weight, most = 20.0, 5  # of the grasp configuration in the fit, to keep it; degree of the polynomials
     poses, times = take.moved @ features.twist.poses(q), take.time[(take.time >= 0.0) & (take.time <= take.end)]
@@ -201,13 +201,13 @@ def _as_shown(shown: Shown, at: Stations, take: Take, q: Postures, features: Any
     degree = min(most if shown.is_way else 2 * most, top // 4)
     weight = np.interp(shares, [0.0, 0.05], [grasp_weight, 1.0])
     fits = [np.polynomial.Polynomial.fit(shares, x, degree, w=weight, domain=[0.0, 1.0]) for x in q[:top].T]
-    guess = carried(features, np.column_stack([fit(targets) for fit in fits]), take.moved)
+    guess = carry_hand(features, np.column_stack([fit(targets) for fit in fits]), take.moved)
     path, there = at.onto(guess, np.arange(len(at)), 3 * MARCH_STEPS)
     near = np.max(np.abs(np.diff(path, axis=0))) <= JUMP and np.max(np.abs(path - guess)) <= JUMP
     return path if np.all(there) and near else None
 
 
-def _marched(at: Stations, hold: Float[np.ndarray, " nv"]) -> Way | None:
+def _plain_path(at: Stations, hold: Float[np.ndarray, " nv"]) -> Way | None:
     """Return the joint path from a grasp configuration, without null-space motion."""
     first, there = at.onto(hold[None], np.zeros(1, dtype=int), 5 * MARCH_STEPS)
     if not there[0]:
@@ -218,7 +218,7 @@ def _marched(at: Stations, hold: Float[np.ndarray, " nv"]) -> Way | None:
     return table[0] if np.all(np.isfinite(table)) else None
 
 
-def joined(path: Postures, start: Float[np.ndarray, " nv"], end: Float[np.ndarray, " nv"]) -> Way | None:
+def join_approach(path: Postures, start: Float[np.ndarray, " nv"], end: Float[np.ndarray, " nv"]) -> Way | None:
     """Join a recorded approach to a start and an end; the differences at both ends fade along it.
 
     Args:
@@ -247,7 +247,7 @@ def joined(path: Postures, start: Float[np.ndarray, " nv"], end: Float[np.ndarra
 
 @final
 @dataclass(frozen=True, eq=False)
-class Marches:
+class PathCandidates:
     """Postures of P marches at L stations, as far as each of them comes.
 
     Attributes:
@@ -264,7 +264,7 @@ class Marches:
     least: Float[np.ndarray, "P L"]
     log_mu: Float[np.ndarray, "P L"]
 
-    def where(self, clear: Callable[[Float[np.ndarray, " nv"]], bool]) -> Marches:
+    def where(self, clear: Callable[[Float[np.ndarray, " nv"]], bool]) -> PathCandidates:
         """Return these marches up to the last station at which their postures are clear.
 
         Args:
@@ -324,7 +324,9 @@ class Marches:
         return np.array(out, dtype=int)
 
 
-def marches_of(stations: Stations, start: Float[np.ndarray, " nv"], number: int, rng: np.random.Generator) -> Marches:
+def propagate_candidates(
+    stations: Stations, start: Float[np.ndarray, " nv"], number: int, rng: np.random.Generator
+) -> PathCandidates:
     """Draw seeds and propagate them along the whole motion.
 
     Args:
@@ -336,7 +338,7 @@ def marches_of(stations: Stations, start: Float[np.ndarray, " nv"], number: int,
     Returns:
         Marches of all seeds that reach their station.
     """
-    q, station = seeds_of(stations, start, number, rng)
+    q, station = draw_seeds(stations, start, number, rng)
     if stations.grip is not None:  # seeds at the first station: try the demonstrated orientation first
         some = np.flatnonzero(station == 0)[1:]
         q[some], _ = stations.with_rows(np.eye(6), stations.grip[0]).onto(q[some], station[some], SEED_STEPS)
@@ -352,10 +354,10 @@ def marches_of(stations: Stations, start: Float[np.ndarray, " nv"], number: int,
     least, log_mu = np.full((2, *table.shape[:2]), -np.inf)
     weakest, room, log_mu[p, k] = node_margins(stations, table[p, k], k)
     least[p, k] = np.minimum(weakest, room)
-    return Marches(stations, start, table, least, log_mu)
+    return PathCandidates(stations, start, table, least, log_mu)
 
 
-def seeds_of(
+def draw_seeds(
     stations: Stations, start: np.ndarray, number: int, rng: np.random.Generator
 ) -> tuple[Postures, Int[np.ndarray, " n"]]:
     """Draw the seeds: the start, postures near it, for an arm that is shut in, and random ones.
@@ -379,7 +381,7 @@ def seeds_of(
     return random, station
 
 
-def out_of_reach(stations: Stations, start: Float[np.ndarray, " nv"], rng: np.random.Generator) -> float:
+def distance_to_grasp(stations: Stations, start: Float[np.ndarray, " nv"], rng: np.random.Generator) -> float:
     """Return the smallest distance of the hand from the grasp, from 64 random postures.
 
     Args:
@@ -390,7 +392,7 @@ def out_of_reach(stations: Stations, start: Float[np.ndarray, " nv"], rng: np.ra
     Returns:
         Distance [m].
     """
-    q, station = seeds_of(stations, start, 192, rng)
+    q, station = draw_seeds(stations, start, 192, rng)
     q, _ = stations.onto(q[station == 0], station[station == 0], SEED_STEPS)
     return float(np.min(np.linalg.norm(stations.hand.poses(q)[:, :3, 3] - stations.places[0], axis=1)))
 
@@ -415,7 +417,7 @@ def march(
         table[some, k] = there_q[there]
 
 
-def relaxed(stations: Stations, q: Postures, *, pinned: bool = False) -> Postures:
+def relax(stations: Stations, q: Postures, *, pinned: bool = False) -> Postures:
     """Relax a path to a larger smallest margin and a straighter joint motion.
 
     Args:
@@ -469,7 +471,7 @@ def soft_margin(stations: Stations, q: Postures) -> tuple[float, Postures, float
     u, v, sigma = leading[:, :, -1] * scale, right[:, -1] * U, sigmas[:, -1]
     weakest = sigma / (sigma + 1.0)
     d_sigma = np.einsum("nr,nrjk,nj->nk", np.einsum("ns,nsr->nr", u, W), H, v)
-    room, bounded = rooms(stations, q), np.isfinite(high - low) & stations.moving
+    room, bounded = slack(stations, q), np.isfinite(high - low) & stations.moving
     with np.errstate(invalid="ignore"):
         d_room = np.where(bounded, np.where(q - low < high - q, 2.0, -2.0) / (high - low), 0.0)
     dt = np.diff(stations.time[: len(q)])[:, None]
