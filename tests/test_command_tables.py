@@ -167,7 +167,7 @@ def test_what_keeps_a_rollout_from_its_goal_is_said(held: ml.Constraint, rollout
     aimed = outcome(held, rollout, 0.01, aim=aim)
     assert aimed.title == "0.125 off along the held rows, 0.25 m from the point" and not aimed.content["reached"]
     text = printed(200, aimed)
-    assert "the hand moved 0.02 along what the recordings show to be blocked" in text
+    assert "the hand moved 0.02 along directions that the recordings show to be blocked" in text
     assert "--rows held leaves x, rz of the target free" in text
     beside = outcome(held, rollout, 0.01, aim=aim._replace(off=0.01, distance=None))
     assert beside.title == "where the held rows are to be, 0.3 from the target"

@@ -162,7 +162,7 @@ def test_a_hand_that_may_turn_is_named_where_it_would_help(panda):
     rail = line(panda, PANDA_TIP, (0.0, 1.0, 0.0))
     with pytest.raises(ml.NoPlanError) as refused:
         ml.plan(rail, ml.motion(rail, along=0.75, keep_orientation=True), READY, **FEW)
-    assert refused.value.helps == ("a hand that may turn on the way could do it",)
+    assert refused.value.helps == ("a hand that is free to rotate could complete it",)
 
 
 def test_nothing_touches_between_the_stations_of_a_way(tmp_path):
@@ -303,7 +303,7 @@ def blocked(
     free = (q for q in postures if not known.closer_than(q, 0.006))
     for start, goal in zip(free, free, strict=False):
         clear = Clearance(robot, links, Surroundings(obstacles), start)
-        if not clear.of_line(start, goal):
+        if not clear.is_line_clear(start, goal):
             yield start, goal, clear
 
 

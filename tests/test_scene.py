@@ -170,7 +170,7 @@ def test_scenes_are_data(tmp_path):
     assert repr(SCENE) == said
     assert ml.Scene.load(SCENE.save(tmp_path / "a" / "scene.json")) == SCENE
     assert hash(ml.Scene.load(tmp_path / "a" / "scene.json")) == hash(SCENE) and SCENE.handled == ("table",)
-    said = "mesh 'lidless' has 4 open edges: where it is open it counts as a surface, and what is behind it as free"
+    said = "mesh 'lidless' has 4 open edges: it counts as a surface, and the space behind it as free"
     assert SCENE.notes == (said,)
     SOURCES["ell"].export(tmp_path / "ell.stl")
     mesh = {"name": "ell", "source": "ell.stl", "scale": [2.0, 1.0, -1.0], "pose": [0.0, 0.0, 1.0]}

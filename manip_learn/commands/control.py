@@ -75,7 +75,7 @@ def control(options: ControlOptions, progress: Progress) -> Answer:
     constraint, robot = load_constraint(options.robot, options.constraint, options)
     named_way = options.along is not None or options.turn is not None
     if target is not None and named_way:
-        raise TargetError("--target names the point, --along and --turn the way: give one of them")
+        raise TargetError("--target names a point, --along and --turn a distance: give only one of them")
     moves = named_way or (target is None and (constraint.shown is not None or direction is not None))
     if options.rows not in ("all", "held"):
         raise TargetError(f"--rows must be all or held, not {options.rows!r}")
@@ -135,7 +135,7 @@ def run(
     dt, way, result = options.dt, None, None
     if options.plan:
         if not isinstance(task, ml.FreeDirection):
-            raise TargetError("only a way is planned: --plan goes with --along or --turn")
+            raise TargetError("a plan needs a motion: use --plan with --along or --turn")
         around = load_scene(options.scene, robot)
         result = ml.plan(constraint, task, q0, options.seed, scene=around, dt=dt, progress=progress)
         rollout = result.rollout
@@ -209,9 +209,9 @@ def outcome(
     else:
         verb, content["hold"] = _effect(constraint, r, way)
         digits, unit = (3, "m") if way.unit == "m" else (1, "degrees")
-        far, requested = (f"{abs(content[key]):.{digits}f}" for key in ("done", "wanted"))
-        content["sentence"] = f"{verb} {far} of {requested} {unit}"
-        facts = {verb: f"{far} {content['unit']}"} | cells(content | {"millimetres": 1e3 * way.deviation}, _WAY)
+        moved, requested = (f"{abs(content[key]):.{digits}f}" for key in ("done", "wanted"))
+        content["sentence"] = f"{verb} {moved} of {requested} {unit}"
+        facts = {verb: f"{moved} {content['unit']}"} | cells(content | {"millimetres": 1e3 * way.deviation}, _WAY)
     return Answer(
         content,
         title=content["sentence"],
@@ -243,11 +243,11 @@ def _obstacles(content: dict[str, Any], way: WayDone | None, aim: Aim | None) ->
     if way is not None and way.stopped_by is not None:
         yield f"stopped by {way.stopped_by}"
     if way is not None and way.strays:  # a rigid mechanism pushes back
-        far = f"the hand strayed {1e3 * way.deviation:.1f} mm from what holds it"
-        yield f"{far}, near a singularity or a limit: start in another posture"
+        far = f"the hand deviated {1e3 * way.deviation:.1f} mm from the mechanism"
+        yield f"{far}, near a singularity or a limit: start from another posture"
     if aim is not None and aim.crossed > tolerance:
-        far = f"the hand moved {aim.crossed:.3g} along what the recordings show to be blocked"
-        yield f"{far}, to come to the target: a hand that holds the thing needs a target on its way, or --along"
+        far = f"the hand moved {aim.crossed:.3g} along directions that the recordings show to be blocked"
+        yield f"{far}, to reach the target: a hand that grasps the object needs a target on its path, or --along"
     if aim is not None and aim.ignored and not content["reached"]:
         yield f"--rows held leaves {', '.join(aim.ignored)} of the target free"
     if way is None and content["stalled"]:

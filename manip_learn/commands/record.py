@@ -143,9 +143,9 @@ def load_driver(spec: str) -> ml.Driver:
     return driver
 
 
-def _is_driver(found: object) -> bool:
-    ready = isinstance(getattr(found, "period", None), float | int) and callable(getattr(found, "read", None))
-    return ready and not isinstance(found, type)
+def _is_driver(candidate: object) -> bool:
+    ready = isinstance(getattr(candidate, "period", None), float | int) and callable(getattr(candidate, "read", None))
+    return ready and not isinstance(candidate, type)
 
 
 def _keys(opened: ExitStack) -> Callable[[], Key]:

@@ -143,14 +143,14 @@ class Answers:
     warnings: list[str] = field(default_factory=list)
 
 
-def _answer_driven_rows(found: Imposed) -> Answers:
+def _answer_driven_rows(imposed: Imposed) -> Answers:
     """Return the answer for rows that the demonstrator drives."""
-    view, fit, wholes = found.view, found.fit, found.view.table.wholes
+    view, fit, wholes = imposed.view, imposed.fit, imposed.view.table.wholes
     names = ("held_out", "estimator", "uncertainty", "warnings", "policy_model", "policy_residuals")
-    same = {name: getattr(found, name) for name in names}
-    same["mu_uncertainty"] = found.errors and mu_error(view, fit, found.errors, view.table.inside(wholes))
-    same["uncertainty_deg"] = float(np.linalg.norm([*found.uncertainty.values()])) if found.uncertainty else None
-    return Answers([Answer(view, wholes, fit.rows, found.levels, found.gaps, fit.unexplained, **same)])
+    same = {name: getattr(imposed, name) for name in names}
+    same["mu_uncertainty"] = imposed.errors and mu_error(view, fit, imposed.errors, view.table.inside(wholes))
+    same["uncertainty_deg"] = float(np.linalg.norm([*imposed.uncertainty.values()])) if imposed.uncertainty else None
+    return Answers([Answer(view, wholes, fit.rows, imposed.levels, imposed.gaps, fit.unexplained, **same)])
 
 
 def advised(refusal: Refusal, table: Table, settings: Settings, facts: Sequence[str]) -> Refusal:
@@ -172,15 +172,15 @@ def advised(refusal: Refusal, table: Table, settings: Settings, facts: Sequence[
     if refusal.code in codes:
         if len(table.moved) < FEWEST:
             count = counted(len(table.moved), "recording")
-            causes.append(f"record at least {FEWEST}, better 5, that differ in path and posture, not {count}")
+            causes.append(f"record at least {FEWEST}, better 5, with different paths and postures, not {count}")
         if not settings.phases:
             allowed = advice(", or allow {}", "phases='auto'", "--phases auto")
             causes.append(f"cut the recordings to the contact, since no single constraint fits the whole{allowed}")
         if still := excitation(table.joint_names, table.u)[1]:
             locked = advice(" ({})", f"load_robot(..., locked={still})", " ".join(f"--lock {name}" for name in still))
-            causes.append(f"move {named('joint', still)} too, or lock what shall hardly move{locked}")
+            causes.append(f"move {named('joint', still)} too, or lock joints that should not move{locked}")
         if (fastest := float(np.max(np.abs(table.u)))) < REST_SPEED:
-            causes.append(f"move faster, noise hides a motion in which no joint exceeds {fastest:.2g} rad/s")
+            causes.append(f"move faster: encoder noise hides a motion in which no joint exceeds {fastest:.2g} rad/s")
         if not causes:
             unsure = "no constraint is confirmed by several recordings"
             causes.append(f"record again, in contact, from other starts: {unsure}")
@@ -257,26 +257,26 @@ class _Part(NamedTuple):
     spans: list[Stretch]
 
 
-def _fit_parts(found: Explanation, views: list[View], out: Answers, settings: Settings) -> list[_Part]:
+def _fit_parts(explanation: Explanation, views: list[View], out: Answers, settings: Settings) -> list[_Part]:
     """Fit the hypotheses to displacements, separately for each place; report disagreeing recordings in `out`."""
-    table, parts = found.views[0].table, list[_Part]()
-    states = found.seen([v.all for v in found.views])[1]
-    for k in np.argsort(-found.supports):
-        h = found.hypotheses[k]
-        view = found.views[h.view]
-        spans_of_state = [view.sharpened(h.rows, s) for s in found.stretches(k + 1, states)]
-        usual = np.median([s.end - s.start for s in spans_of_state]) if spans_of_state else 0.0
+    table, parts = explanation.views[0].table, list[_Part]()
+    states = explanation.evaluate([v.all for v in explanation.views])[1]
+    for k in np.argsort(-explanation.supports):
+        h = explanation.hypotheses[k]
+        view = explanation.views[h.view]
+        all_spans = [view.trim(h.rows, s) for s in explanation.stretches(k + 1, states)]
+        usual = np.median([s.end - s.start for s in all_spans]) if all_spans else 0.0
         # shorter stretches occur by chance
-        spans_of_state = [s for s in spans_of_state if s.end - s.start >= 0.25 * usual and len(table.samples(s)) > 2]
-        if not spans_of_state:
+        all_spans = [s for s in all_spans if s.end - s.start >= 0.25 * usual and len(table.samples(s)) > 2]
+        if not all_spans:
             continue
         alike = [v for v in views if v.turns == view.turns]
-        spans = view.steady(h.rows, spans_of_state)
+        spans = view.steady_stretches(h.rows, all_spans)
         fit = best_fit(alike, view, h.rows, spans, settings)
-        if len(spans) < len(spans_of_state) and len(again := fit.view.steady(fit.rows, spans_of_state)) > len(spans):
+        if len(spans) < len(all_spans) and len(again := fit.view.steady_stretches(fit.rows, all_spans)) > len(spans):
             spans = again
             fit = best_fit(alike, fit.view, fit.rows, spans, settings)
-        for s in (s for s in spans_of_state if s not in spans):
+        for s in (s for s in all_spans if s not in spans):
             out.odd[s.recording] = describe_difference(fit, [s], {x.recording for x in spans})
             out.unlearnt.append((s, DISAGREES))
         part = _Part(fit, h.scale[1], spans)
@@ -332,8 +332,8 @@ def _split_places(part: _Part, groups: list[set[int]], out: Answers, settings: S
     if 2 * sum(map(len, several)) <= len(recordings):
         last = max(recordings)
         places = f"{len(groups)} places in {counted(len(recordings), 'recording')}"
-        stood = f"it is learnt as it stood in {fit.view.table.moved[last].name}"
-        out.warnings.append(f"what holds the hand was moved between recordings ({places}): {stood}")
+        stood = f"it is learnt where it stood in {fit.view.table.moved[last].name}"
+        out.warnings.append(f"the mechanism was moved between recordings ({places}): {stood}")
         return [of({last})._replace(spans=spans)]
     parts = [of(g) for g in several]
     for s in (s for s in spans if not any(s.recording in g for g in several)):
@@ -344,15 +344,16 @@ def _split_places(part: _Part, groups: list[set[int]], out: Answers, settings: S
 
 
 def _answer_parts(
-    found: Explanation, views: list[View], whole: list[View], gate: Gate, settings: Settings
+    explanation: Explanation, views: list[View], whole: list[View], gate: Gate, settings: Settings
 ) -> Answers | NotIdentifiableError:
     """Return the answers for an explanation, with their common warnings; or the refusal of the first part."""
-    table, out = found.views[0].table, Answers([])
-    results = [(part.spans, evaluate(part, gate, whole, settings)) for part in _fit_parts(found, views, out, settings)]
+    table, out = explanation.views[0].table, Answers([])
+    parts = _fit_parts(explanation, views, out, settings)
+    results = [(part.spans, evaluate(part, gate, whole, settings)) for part in parts]
     out.answers = [a for _, a in results if isinstance(a, Answer)]
     refused = [(spans, a) for spans, a in results if isinstance(a, NotIdentifiableError)]
     if not out.answers:
-        none = NotIdentifiableError("no contact lasts long enough to be learnt from", code="no-evidence")
+        none = NotIdentifiableError("no contact is long enough to learn from", code="no-evidence")
         return refused[0][1] if refused else none
     out.answers.sort(key=lambda a: (not a.clear, a.gap < CLEAR_GAP))
     best = out.answers[0]
@@ -360,11 +361,11 @@ def _answer_parts(
         for a in [a for a in out.answers if not a.clear and (best.clear or a.gap < CLEAR_GAP)]:
             out.answers.remove(a)
             out.unlearnt += [(s, "kept, not shown to be held") for s in a.stretches]
-            text = f"{counted(a.s, 'row')} in {counted(len(a.stretches), 'stretch')} not learnt: the way of moving"
-            out.warnings.append(f"{text} may keep them, nothing holds them (gap {a.gap:.3g})")
+            text = f"{counted(a.s, 'row')} in {counted(len(a.stretches), 'stretch')} not learnt: they may"
+            out.warnings.append(f"{text} only be habits of the demonstrator (gap {a.gap:.3g})")
     for spans, refusal in refused:
         out.warnings.append(f"a further constraint is not learnt: {refusal}")
-        out.unlearnt += [(s, "what several recordings show here could not be learnt") for s in spans]
+        out.unlearnt += [(s, "a constraint in several recordings that could not be learnt") for s in spans]
     tasks = [{s.recording for s in a.stretches} for a in out.answers]
     if len(tasks) > 1 and not set.intersection(*tasks):
         numbers = " and ".join(counted(len(t), "recording") for t in tasks)
@@ -379,12 +380,12 @@ def _answer_parts(
     _report_outliers(out, table)
     used = [s for a in out.answers for s in a.stretches] + [s for s, _ in out.unlearnt]
     if settings.phases and len(table.moved) > 1:
-        places = [k for k, v in enumerate(found.views) if not v.turns and not v.curved]
-        lone = lone_contacts(found, places, lambda view, s: gate.evidence(view, [s]).n_rows)
+        places = [k for k, v in enumerate(explanation.views) if not v.turns and not v.curved]
+        lone = lone_contacts(explanation, places, lambda view, s: gate.evidence(view, [s]).n_rows)
         lone = [s for s in lone if not any(overlap(s, other) for other in used)]
         out.unlearnt += [(s, IN_ONE_ONLY) for s in lone]
         used += lone
-    out.free = found.stretches(0, np.where(table.inside(used), 1, 0))
+    out.free = explanation.stretches(0, np.where(table.inside(used), 1, 0))
     return out
 
 
@@ -535,12 +536,15 @@ def _refusal(a: Answer, settings: Settings) -> NotIdentifiableError | None:
     is_supported = a.evidence.n_pieces < FEWEST or a.evidence.verdict(a.s) == "clear"
     soft = a.gap < CLEAR_GAP and not is_at_one_place(a.fit)
     if a.gap < WEAK_GAP:
-        why, code = f"no constraint is shown: the gap is {a.gap:.2g} for {rows}, {WEAK_GAP:g} is the least", "weak-gap"
+        why, code = (
+            f"no clear constraint: the gap is {a.gap:.2g} for {rows}, at least {WEAK_GAP:g} is needed",
+            "weak-gap",
+        )
     elif a.over_noise > OVER_NOISE and (soft or (not is_supported and a.gap < 2.0 * CLEAR_GAP)):
-        why = f"{rows} would be soft (gap {a.gap:.2g}), and elsewhere in each recording, as in free motion"
+        why = f"{rows} would be soft (gap {a.gap:.2g}), at a different place in each recording, as in free motion"
     elif a.contradiction:
         why = f"{rows} would explain the recordings, but {a.contradiction}"
-        advised = ("vary the way and the posture between recordings" + number_if_known(a.s),)
+        advised = ("vary the path and the posture between recordings" + number_if_known(a.s),)
     return NotIdentifiableError(why, code=code, gaps=a.gaps, advice=advised) if why else None
 
 
@@ -553,10 +557,10 @@ def _warnings(a: Answer, settings: Settings) -> list[str]:
         out.append(f"{rows} learnt, but the gap supports {best}: {a.gaps[best]:.3g} against {a.gap:.3g}")
     if a.firm is None and requested is None and best > a.s and a.gaps[best] >= WEAK_GAP * a.gap:
         more = counted(best - a.s, "further row")
-        out.append(f"{more} kept softly (gap {a.gaps[best]:.3g}): by the way of moving, or by something that gives way")
+        out.append(f"{more} constrained softly (gap {a.gaps[best]:.3g}): a habit, or a compliant contact")
     if a.unexplained > SLIGHT:
         share = f"{100 * a.unexplained:.2g} % of the motion's energy"
-        out.append(f"{share} breaks the constraint: it is soft, or the demonstrator moves the rows on purpose")
+        out.append(f"{share} violates the constraint: it is soft, or the demonstrator drives the rows")
     if len(evidence.strengths) and evidence.n_rows < a.s:
         source = "asked for" if requested else "explain the recordings"
         out.append(f"{rows} {source}, the recombination test supports {evidence.n_rows}: {evidence.sentence()}")
@@ -568,27 +572,25 @@ def _warnings(a: Answer, settings: Settings) -> list[str]:
     if together < few_joints and table.u.shape[1] > 3:
         out.append(f"move all joints together: where {together:.1f} move at a time, friction looks like a constraint")
     if a.errors is not None and a.errors.beyond and settings.arm.zeros:
-        off, ratio = f"zeros {np.degrees(a.errors.beyond):.2g} degrees off", a.errors.beyond / settings.arm.zeros
-        off += f", or links {1e3 * ratio * settings.arm.links:.2g} mm, would explain what is left: {ratio:.0f} times"
-        out.append(f"is this the robot that was recorded? Joints' {off} what joint_offset_std and link_error_std say")
+        off, ratio = f"offsets of {np.degrees(a.errors.beyond):.2g} degrees", a.errors.beyond / settings.arm.zeros
+        off += f", or link errors of {1e3 * ratio * settings.arm.links:.2g} mm, explain the residual: {ratio:.0f} times"
+        out.append(f"is this the robot that was recorded? Only joint {off} joint_offset_std and link_error_std")
     gain, rms = a.misfit
-    leaves = f"the hand leaves what fits best by {1e3 * rms:.2g} mm (or mrad)"
+    leaves = f"the hand deviates from the best fit by {1e3 * rms:.2g} mm (or mrad)"
     if a.shape is not None:
         return out
     if rms > LEAST_MOTION and gain > LEAST_GAIN:
-        out.append(f"{leaves} in the same way in all recordings: the true shape is another one")
-    elif rms > LEAST_MOTION and fit.alike > 2.0 and a.over_noise > OVER_NOISE:
-        out.append(f"{leaves}, {a.over_noise:.0f} times the encoders' noise: it gives way, or has another shape")
+        out.append(f"{leaves} in the same way in all recordings: the true shape is different")
+    elif rms > LEAST_MOTION and fit.inflation > 2.0 and a.over_noise > OVER_NOISE:
+        out.append(f"{leaves}, {a.over_noise:.0f} times the encoder noise: it is compliant, or has another shape")
     if a.placed is not None and a.placed.kind.type == "line":
         span = float(np.linalg.norm(np.ptp(fit.motion.poses[:, :3, 3], axis=0)))
         # three standard deviations of the curvature of a parabola through evenly spaced samples
-        bend = np.sqrt(fit.dof / fit.alike) * span**2 / (3.0 * np.sqrt(720.0) * max(rms, 1e-12))
+        bend = np.sqrt(fit.dof / fit.inflation) * span**2 / (3.0 * np.sqrt(720.0) * max(rms, 1e-12))
         if bend < FARTHEST:
-            out.append(
-                f"move it farther than {1e3 * span:.2g} mm: a hinge would fit as well, {bend:.2g} m away or more"
-            )
+            out.append(f"move it further than {1e3 * span:.2g} mm: a hinge at {bend:.2g} m or more would fit as well")
     if a.view.curved and kind_of(fit) is None:
-        out.append("what holds the hand is a curved surface of no simple kind: its rows are right only where shown")
+        out.append("the mechanism is a curved surface of no simple kind: its rows are valid only where demonstrated")
     return out
 
 
@@ -699,13 +701,13 @@ def _answer_whole(views: list[View], gate: Gate, settings: Settings) -> Answers 
     v, s, gaps = best
     gap = gaps.get(s, 0.0)
     if settings.n_constraints is None and (len(drop_duplicates(table, table.wholes)) >= FEWEST or gap < WEAK_GAP):
-        unused = f"what the motion leaves unused ({counted(s, 'direction')}, gap {gap:.3g}) is held, not never tried"
-        why = f"nothing shows that {unused}: {gate.evidence(v, table.wholes, 1.0).sentence()}"
+        unused = f"unused motion ({counted(s, 'direction')}, gap {gap:.3g}) is constrained, or was never exercised"
+        why = f"cannot tell if the {unused}: {gate.evidence(v, table.wholes, 1.0).sentence()}"
         return NotIdentifiableError(why, code="no-evidence" if gap >= WEAK_GAP else "weak-gap", gaps=gaps)
     settings = replace(settings, n_constraints=s)
     fit = best_fit([v], v, np.eye(s, v.r), table.wholes, settings)
     a = evaluate(_Part(fit, 1.0, table.wholes), gate, (), settings)
     if isinstance(a, Answer) and len(table.moved) < FEWEST:
-        few = f"{len(table.moved)} cannot show that {counted(s, 'row')} held rather than never tried"
-        a.warnings.append(f"record 3, better 5, that differ: {few}")
+        few = f"{len(table.moved)} cannot show that {counted(s, 'row')} are constrained rather than never exercised"
+        a.warnings.append(f"record 3 different motions, or better 5: {few}")
     return Answers([a]) if isinstance(a, Answer) else a

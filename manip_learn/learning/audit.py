@@ -138,7 +138,7 @@ def audit_episodes(
         ManipLearnError: The workers of the client died.
     """
     if not 0.0 < false_alarms < 1.0:
-        raise RecordingError(f"false_alarms must be a chance between 0 and 1, got {false_alarms!r}", code="option")
+        raise RecordingError(f"false_alarms must be a probability between 0 and 1, got {false_alarms!r}", code="option")
     parts = parts_of(recordings_given(demonstrations, constraint.robot, constraint.nv, velocities))
     results = list(map_parts(lambda part: _measure_part(constraint, velocities, part), parts, client, progress))
     notes = refuse_unmatched([note for _, remarks in results for note in remarks], len(parts))
@@ -147,7 +147,7 @@ def audit_episodes(
         raise RecordingError("there are no demonstrations: give at least one trajectory", code="empty")
     criteria = [c for c in CRITERIA if np.any(np.isfinite([getattr(e, c[0]) for e in rows]))]
     if constraint.provenance.get("kind") == "self-imposed":
-        notes.append("the constrained rows were moved on purpose: motion along them is no violation and does not count")
+        notes.append("the demonstrator drives the constrained rows: motion along them does not count as a violation")
         criteria = [c for c in criteria if c[1] not in ("violation", "displacement", "rotation")]
     measures, names, signs, negligible, templates = zip(*criteria, strict=True)
     values, ratios = np.array([[getattr(e, m) for m in measures] for e in rows]), np.array(negligible) > 0.0
@@ -161,7 +161,7 @@ def audit_episodes(
     # threshold is from Iglewicz and Hoaglin, How to Detect and Handle Outliers (1993). Fewer than 5 have no spread.
     threshold = max(3.5, -float(stdtrit(0.37 * len(z) + 0.25, false_alarms / z.size))) if len(z) >= 5 else np.inf
     if len(rows) < 5:
-        notes.append(f"too few to say which are odd: {counted(len(rows), 'episode')}, at least 5 are needed")
+        notes.append(f"too few to judge: {counted(len(rows), 'episode')}, at least 5 are needed")
     for i, (e, scores) in enumerate(zip(rows, z, strict=True)):
         odd = [t.format(e=e) + f", robust z {s:.1f}" for t, s in zip(templates, scores, strict=True) if s > threshold]
         reasons, score = tuple(r.replace("%", " %") for r in odd), float(np.linalg.norm(np.maximum(scores, 0.0)))

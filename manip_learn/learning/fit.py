@@ -208,14 +208,14 @@ class RowFit:
         self.root = np.linalg.inv(np.linalg.cholesky(S))
         J = np.einsum("nai,nj->naij", self.root, motion.y @ self.perp.T).reshape(*S.shape[:2], self.m)
         r = self.root @ (motion.y @ rows.T)[:, :, None]
-        self._JR = self.without_constants(np.concatenate([J, r], axis=2))
+        self._JR = self.centre(np.concatenate([J, r], axis=2))
         self.r = self._JR[:, :, -1]
         self.cost = float(np.sum(self.r**2))
         constants = len(rows) * len(motion.parts) if motion.way is None else 0
         self.dof = max(self.r.size - constants - self.m, 1)
         self.variance = self.cost / self.dof + LEAST_RAD**2
 
-    def without_constants(self, columns: np.ndarray) -> np.ndarray:
+    def centre(self, columns: np.ndarray) -> np.ndarray:
         """Return columns less their best constants in each stretch; unchanged for velocities.
 
         Args:
@@ -244,7 +244,7 @@ class RowFit:
             out[i] = out[i] + np.tensordot(X[p], X[p], axes=([0, 1], [0, 1]))
         return out
 
-    def shortest_way_back(self) -> np.ndarray:
+    def correction(self) -> np.ndarray:
         """Return the smallest change of each posture that cancels its residual.
 
         Returns:
@@ -263,7 +263,7 @@ class RowFit:
         postures on the mechanism: at the recorded postures it would contain the residual itself (errors in variables).
         """
         motion, features, arm = self.motion, self.view.features, self.motion.arm
-        dq = self.shortest_way_back()
+        dq = self.correction()
         y, x, way = motion.y - np.einsum("nrv,nv->nr", motion.Phi, dq), motion.x - dq, motion.way
         middle, step = (0.5 * (x[1:] + x[:-1]), tangents(features.robot, x)) if way is None else (x, way)
         change = np.einsum("npvk,nv->npk", features.batch_with_derivative(middle)[1], step, optimize=True)
@@ -274,7 +274,7 @@ class RowFit:
             change = np.concatenate([np.zeros((1, *change.shape[1:])), np.cumsum(change, axis=0)])
         J = np.einsum("nai,nj->naij", self.root, y @ self.perp.T).reshape(*self.r.shape, self.m)
         K = self.root @ (self.rows @ (self.view.W @ change))
-        return np.concatenate([self.without_constants(np.concatenate([J, K], axis=2)), self._JR[:, :, -1:]], axis=2)
+        return np.concatenate([self.centre(np.concatenate([J, K], axis=2)), self._JR[:, :, -1:]], axis=2)
 
     @cached_property
     def G(self) -> dict[int, np.ndarray]:
@@ -299,7 +299,7 @@ class RowFit:
         return here
 
     @cached_property
-    def alike(self) -> float:
+    def inflation(self) -> float:
         """Factor by which correlated neighbours increase a variance."""
         return autocorrelation(self.r, self.motion.parts)
 
@@ -309,7 +309,7 @@ class RowFit:
         Args:
             other: Fit to the same motion.
         """
-        n, floor = self.dof / self.alike, self.dof * LEAST_RAD**2
+        n, floor = self.dof / self.inflation, self.dof * LEAST_RAD**2
         gain = n * float(np.log((other.cost + floor) / (self.cost + floor)))
         return 0.5 * (gain - (self.m - other.m) * float(np.log(max(n, 2.0))))
 
@@ -432,7 +432,7 @@ def misfit(fit: RowFit) -> tuple[float, float]:
     factors = [[*axes] for n in (2, 3) for axes in combinations_with_replacement(range(3), n)]
     powers = np.stack([np.prod(x[:, axes], axis=1) for axes in factors], axis=1)
     P = np.einsum("nai,nc->naic", fit.root, powers).reshape(*fit.r.shape, -1)
-    X = np.concatenate([fit.X[:, :, :-1], fit.without_constants(P), fit.X[:, :, -1:]], axis=2)
+    X = np.concatenate([fit.X[:, :, :-1], fit.centre(P), fit.X[:, :, -1:]], axis=2)
     G, plain = fit.sums(X), fit.X.shape[2] - 1
     total, prior, costs = np.sum([*G.values()], axis=0), np.zeros(X.shape[2] - 1), np.full(2, fit.dof * LEAST_RAD**2)
     prior[fit.m : plain] = fit.variance / TAU[-1] ** 2
@@ -442,7 +442,7 @@ def misfit(fit: RowFit) -> tuple[float, float]:
             b = np.append(-solve(rest[:d, :d] + np.diag(prior[:d]), rest[:d, -1]), 1.0)
             columns = [*range(d), -1]
             costs[i] += b @ mine[np.ix_(columns, columns)] @ b
-    return 0.5 * fit.dof / fit.alike * float(np.log(costs[0] / costs[1])), rms
+    return 0.5 * fit.dof / fit.inflation * float(np.log(costs[0] / costs[1])), rms
 
 
 # ------------------------------------------------------------------------------------------------------ uncertainty
@@ -480,7 +480,7 @@ def draw_errors(fit: RowFit, arm: ArmErrors, rng: np.random.Generator) -> Errors
     m, n = fit.m, len(set(fit.motion.recs))
     if not m or n < 2:
         return None
-    total, variance = np.sum([*fit.G.values()], axis=0), fit.cost / fit.dof * fit.alike + 1e-30
+    total, variance = np.sum([*fit.G.values()], axis=0), fit.cost / fit.dof * fit.inflation + 1e-30
     H = total[:m, :m]
     C = variance * solve(H, np.eye(m))
     # scatter of the recordings beyond that: their influences, corrected for the leverage of each

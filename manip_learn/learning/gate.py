@@ -97,11 +97,11 @@ class Evidence:
     def sentence(self) -> str:
         """Return the evidence in words."""
         if not len(self.strengths):
-            return "the recordings do not move, so nothing shows which rows are held"
+            return "the recordings do not move, so no row can be tested"
         if not (n := self.n_rows):
             best = f"best strength {self.strengths[0]:.2g}, with 99 % confidence above {self.lower[0]:.2g}"
-            return f"no row is shown to be held ({best}; {self.believed:g} is the least that counts)"
-        soft, firm = "held softly, or by the way of moving only", "held firmly at one place each time, or never tried"
+            return f"no row is confirmed ({best}; at least {self.believed:g} is needed)"
+        soft, firm = "held softly, or only by habit", "held firmly at one place each time, or never exercised"
         state = "held" if self.verdict(n) == "clear" else firm if n == self.firm else soft
         strengths = ", ".join(f"{x:.3g}" for x in self.strengths[:n])
         text = f"{counted(n, 'row')} {state} (strength {strengths}, p = {max(self.chances[:n]):.2g})"
@@ -323,7 +323,7 @@ class Gate:
         """
         if view.curved and len(h.rows) > 2:  # three surfaces meet in points
             return False
-        agreeing = view.steady(h.rows, stretches)
+        agreeing = view.steady_stretches(h.rows, stretches)
         for some in (stretches, agreeing) if len(agreeing) < len(stretches) else (stretches,):
             recs = {s.recording for s in some}
             if not recs or len(recs) < min(2, len(view.table.moved)):

@@ -448,7 +448,7 @@ def learn_imposed(views: list[View], settings: Settings) -> Imposed | NotIdentif
         try:
             one = learn(v, settings)
         except LinAlgError:
-            why = "the motion is too short or too much alike for a policy model: move further, and differently"
+            why = "the motion is too short or too uniform for a policy model: move further, and vary it"
             one = NotIdentifiableError(why, code="too-few-samples")
         if not isinstance(best, Imposed) or (isinstance(one, Imposed) and one.nats > best.nats + LEAST_GAIN):
             best = one
@@ -467,8 +467,8 @@ def _unidentifiable(table: Table, settings: Settings) -> NotIdentifiableError | 
     (n, nv), s, model = table.u.shape, settings.n_constraints or 1, settings.policy_model
     joint, names = settings.estimator != "separate", ", ".join(map(repr, MODELS))
     differ = "from other starts to other targets"
-    one = "one trajectory does not show which part of it is steered on purpose: give several"
-    same = f"the {len(table.moved)} recordings repeat one motion, which shows no more than one of them: give some that"
+    one = "one trajectory does not show which part of it is driven on purpose: give several"
+    same = f"the {len(table.moved)} recordings repeat one motion and show no more than one of them: give some that"
     reasons = (
         ("policy-model", model not in MODELS, f"unknown policy model {model!r}: use {names}"),
         ("no-freedom", s >= nv, f"{s} constraints leave no null space for {nv} joints"),
@@ -494,11 +494,11 @@ def is_one_path(table: Table) -> bool:
     return len(paths) < min(3, len(table.moved))
 
 
-def _subsample(table: Table, most: int, own: bool = False) -> np.ndarray:
+def _subsample(table: Table, most: int, offsets: bool = False) -> np.ndarray:
     """Return evenly spaced samples with at most `most` velocities; with offsets of recordings, of few recordings."""
     most_recordings = 16  # with offsets of their own
-    few = np.flatnonzero(table.recording < (most_recordings if own else np.inf))
-    return few[:: -(-len(few) * table.u.shape[1] // (most // (3 if own else 1)))]
+    few = np.flatnonzero(table.recording < (most_recordings if offsets else np.inf))
+    return few[:: -(-len(few) * table.u.shape[1] // (most // (3 if offsets else 1)))]
 
 
 def _joint(v: View, settings: Settings) -> Imposed | NotIdentifiableError:
@@ -526,7 +526,7 @@ def _joint(v: View, settings: Settings) -> Imposed | NotIdentifiableError:
     if noisy and (mixing := noise_whitening(table)) is not None:
         fits, best = max((fits, best), searched(mixing), key=lambda found: found[1].nats(floor))
     if len(best.rows) == 0:
-        why = "a policy of the posture alone explains the motion, nothing is steered: record more, from other starts"
+        why = "a policy of the posture explains all motion, no direction is driven: record more, from other starts"
         return NotIdentifiableError(why, code="no-task")
     if auto and best.noise > best.d.enough:
         some = _subsample(table, n_compared, True)
@@ -561,10 +561,10 @@ def _add_warnings(a: Imposed, settings: Settings) -> Imposed | NotIdentifiableEr
         total = B if a.errors is None else B + a.errors.noise
         a.errors = Errors(total, 0.0 * B, np.zeros((len(B), a.view.table.u.shape[1])))
     if a.estimator == "joint" and (deg := math.hypot(*a.uncertainty.values())) > MOST_UNCERTAIN:
-        why = f"the rows are known to {deg:.0f} degrees only, {MOST_UNCERTAIN:g} is the most that is an answer"
+        why = f"the rows are known to {deg:.0f} degrees only, at most {MOST_UNCERTAIN:g} are accepted"
         return NotIdentifiableError(f"{why}: record more, from other starts to other targets", code="uncertain")
     if not is_given and gap < a.weak_gap:
-        why = f"no constraint is shown: the gap is {gap:.2g} for {s}, {a.weak_gap:.3g} is the least that counts"
+        why = f"no clear constraint: the gap is {gap:.2g} for {s}, at least {a.weak_gap:.3g} is needed"
         return NotIdentifiableError(why, code="weak-gap", gaps=a.gaps)
     if gap < CLEAR_GAP:
         why = "the constraint may be soft, or the recordings noisy"
@@ -617,7 +617,7 @@ def separate_null_motion(view: View, seed: int) -> np.ndarray | NotIdentifiableE
     w = beta @ ((Vt[:k].T / sigma[:k]) @ x.reshape(k, -1))
     if np.sum(w**2) < NONE * np.sum(u**2):
         use = advice("; use {}", "estimator='joint'", "--estimator joint")
-        return NotIdentifiableError(f"no null-space motion is left beside the task{use}", code="no-null-motion")
+        return NotIdentifiableError(f"no null-space motion remains without the task{use}", code="no-null-motion")
     return w
 
 

@@ -168,7 +168,7 @@ class ConstraintLearner:
             raise FeatureError("give the learner at least one feature map")
         for features in self._feature_maps:
             if not isinstance(features, FeatureMap):
-                raise FeatureError(f'give FrameJacobian(robot, frame="tool") where features belong: got {an(features)}')
+                raise FeatureError(f'features must be e.g. FrameJacobian(robot, frame="tool"), got {an(features)}')
             if s is not None and not 1 <= s <= (most := min(features.n_rows, features.nv)):
                 raise NumberOfConstraintsError(s, most, repr(features))
 

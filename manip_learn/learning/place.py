@@ -145,11 +145,11 @@ def locate(fit: RowFit, errors: Errors | None) -> Placement | None:
         axis = math.degrees(math.atan2(turned, abs(place.axis @ there.axis)))
         aside = np.degrees(np.arccos(np.clip(np.abs(np.sum(ahead * headings(kind, there, few), axis=1)), 0.0, 1.0)))
         off.append((axis, float(np.linalg.norm(d)), wider, abs(there.pitch - place.pitch), float(np.median(aside))))
-    known = {name.removesuffix("-across") for name in kind.unknowns} | ({"radius"} if radius else set())
+    quantities = {name.removesuffix("-across") for name in kind.unknowns} | ({"radius"} if radius else set())
     # axis [deg], point and radius [m], pitch [m/rad], direction [deg]
     sizes: list[float] = np.quantile(off, STATED, axis=0).tolist() if off else []
     stated = zip(("axis", "point", "radius", "pitch"), sizes, strict=False)
-    uncertainty = {name: size for name, size in stated if name in known}
+    uncertainty = {name: size for name, size in stated if name in quantities}
     # a single recording has no known error: a millimetre along the axis does not count
     error = uncertainty.get("pitch", 1e-3 / radius[1] if radius is not None and errors is None else 0.0)
     if kind.name == "screw, firm" and abs(place.pitch) < max(LEAST_PITCH, 3.0 * error):
@@ -250,15 +250,15 @@ def fit_shape(fit: RowFit, known: Placement | None, arm_deg: float) -> Placement
     kind, place = (KIND_BY_NAME[name], Place(axis, middle)) if known is None else (known.kind, known.place)
     before = float(np.mean(_fit_place(kind, place, p, parts)[1] ** 2)) + LEAST_RAD**2
 
-    def gain(left: np.ndarray, unknowns: int) -> float:
+    def gain(residual: np.ndarray, unknowns: int) -> float:
         """Return the gain of a shape over the rows, net of the price of its unknowns [nats].
 
         Args:
-            left: Array (n, k) of residuals of the shape [m].
+            residual: Array (n, k) of residuals of the shape [m].
             unknowns: Number of its parameters.
         """
-        n = left.size / autocorrelation(left, parts)
-        return 0.5 * n * math.log(before / (float(np.mean(left**2)) + LEAST_RAD**2)) - 0.5 * unknowns * math.log(n)
+        n = residual.size / autocorrelation(residual, parts)
+        return 0.5 * n * math.log(before / (float(np.mean(residual**2)) + LEAST_RAD**2)) - 0.5 * unknowns * math.log(n)
 
     starts: list[Place] = []
     if len(fit.rows) == 2 and kind.name in ("hinge", "screw"):
@@ -370,7 +370,7 @@ def fit_whole(
             if gap <= WEAK_GAP or (True, gap) <= largest:
                 continue
             fit = RowFit(motion, orthonormal_rows(motion.levels.directions[:s])).best()
-            turned = np.sum(np.einsum("nij,nj->ni", J[:, 3:], fit.shortest_way_back()) ** 2, axis=1)
+            turned = np.sum(np.einsum("nij,nj->ni", J[:, 3:], fit.correction()) ** 2, axis=1)
             away = np.degrees(np.median([np.sqrt(np.mean(turned[p])) for p in motion.parts]))
             free = (x @ null_basis(A) for x, A in zip(J[few, :3], fit.rows @ motion.Phi[few], strict=True))
             moves = [np.count_nonzero(np.linalg.svd(x, compute_uv=False) > ON_THE_AXIS) for x in free]

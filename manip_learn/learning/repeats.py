@@ -53,22 +53,23 @@ class IndependentRecordings(NamedTuple):
     warnings: tuple[str, ...] = ()
 
     @staticmethod
-    def of(given: Demonstrations) -> IndependentRecordings:
+    def of(recordings: Demonstrations) -> IndependentRecordings:
         """Join pieces, keep the longest or first of recordings that repeat each other, and the first round of a
         recording.
 
         Args:
-            given: All recordings.
+            recordings: All recordings.
         """
-        if len({t.q.shape[1] for t in given}) > 1:  # refused where the samples are collected
-            return IndependentRecordings(given, tuple(((i, 0.0),) for i in range(len(given))), given)
-        renamed = [dataclasses.replace(t, name=name) for t, name in zip(given, distinct_names(given), strict=True)]
+        if len({t.q.shape[1] for t in recordings}) > 1:  # refused where the samples are collected
+            return IndependentRecordings(recordings, tuple(((i, 0.0),) for i in range(len(recordings))), recordings)
+        names = distinct_names(recordings)
+        renamed = [dataclasses.replace(t, name=name) for t, name in zip(recordings, names, strict=True)]
         paths = [_Path(t) for t in renamed]
         joined = [_join_pieces(renamed, chain) for chain in _find_chains(paths)]
         whole, origins = [t for t, _ in joined], tuple(origin for _, origin in joined)
         once = "are pieces of one recording, each goes on where another ends; they count once"
         warnings = [f"{t.name} {once}" for t, origin in joined if len(origin) > 1]
-        paths = paths if len(whole) == len(given) else [_Path(t) for t in whole]
+        paths = paths if len(whole) == len(recordings) else [_Path(t) for t in whole]
         repeated = _find_repeats(paths)
         for first in dict.fromkeys(remaining for remaining, _ in repeated.values()):
             copies = [i for i, (remaining, _) in repeated.items() if remaining == first]
@@ -82,9 +83,9 @@ class IndependentRecordings(NamedTuple):
                 warnings.append(f"{whole[i].name} {since} ({_closeness(repetition[1])}); it counts once")
                 whole[i] = whole[i].part(slice(repetition[0]))
         if not warnings:
-            return IndependentRecordings(given, origins, given)
-        demonstrations = Demonstrations([whole[i] for i in remaining], given.notes)
-        return IndependentRecordings(demonstrations, tuple(origins[i] for i in remaining), given, tuple(warnings))
+            return IndependentRecordings(recordings, origins, recordings)
+        demonstrations = Demonstrations([whole[i] for i in remaining], recordings.notes)
+        return IndependentRecordings(demonstrations, tuple(origins[i] for i in remaining), recordings, tuple(warnings))
 
 
 def _closeness(within: float) -> str:
@@ -219,11 +220,11 @@ def _find_repeats(paths: Sequence[_Path]) -> dict[int, tuple[int, float]]:
     repeated: dict[int, tuple[int, float]] = {}
 
     def original(i: int) -> tuple[int, float]:
-        further = 0.0
+        largest = 0.0
         while i in repeated:  # it ends: the pairs behind i lead to no recording twice
             i, distance = repeated[i]
-            further = max(further, distance)
-        return i, further
+            largest = max(largest, distance)
+        return i, largest
 
     for (i, j), distance in lies.items():
         # keep the first of two that repeat each other, and one of several that do so in a cycle
@@ -286,15 +287,15 @@ def _shared_samples(before: Trajectory, after: Trajectory) -> int:
     return int(np.array_equal(before.q[-1], after.q[0]))
 
 
-def _join_pieces(given: Sequence[Trajectory], chain: list[int]) -> tuple[Trajectory, tuple[tuple[int, float], ...]]:
+def _join_pieces(pieces: Sequence[Trajectory], chain: list[int]) -> tuple[Trajectory, tuple[tuple[int, float], ...]]:
     """Join the pieces of a recording, with the clock of the first; return it with its origin.
 
     Where the clock does not continue, a piece begins one step after the previous one.
     """
-    parts, origin = [given[chain[0]]], [(chain[0], 0.0)]
+    parts, origin = [pieces[chain[0]]], [(chain[0], 0.0)]
     for i in chain[1:]:
-        a, added = given[origin[-1][0]], origin[-1][1]
-        parts.append(given[i].part(slice(_shared_samples(a, given[i]), None)))
+        a, added = pieces[origin[-1][0]], origin[-1][1]
+        parts.append(pieces[i].part(slice(_shared_samples(a, pieces[i]), None)))
         step, pause = float(np.median(np.diff(a.time))), float(parts[-1].time[0] - a.time[-1])
         origin.append((i, added if 0.0 < pause <= 2.0 * step else added + step - pause))
     if len(parts) == 1:

@@ -298,17 +298,17 @@ def parts_in_words(parts: Uncertainty, reference: str | None) -> str:
 Learnt = tuple[Constraint, Constraint, LearningReport]
 
 
-def make_reports(found: Answers, context: Context) -> list[Learnt]:
+def make_reports(result: Answers, context: Context) -> list[Learnt]:
     """Return the whole constraint of each answer, the constraint in the requested rows, and the report on the latter.
 
     Args:
-        found: Answers.
+        result: Answers.
         context: Data that all reports share.
     """
     recordings = context.recordings
     names, given_names = distinct_names(recordings.demonstrations), distinct_names(recordings.given)
-    stretches = [(s, k, "") for k, answer in enumerate(found.answers) for s in answer.stretches]
-    stretches += [(s, None, "") for s in found.free] + [(s, None, why) for s, why in found.unlearnt]
+    stretches = [(s, k, "") for k, answer in enumerate(result.answers) for s in answer.stretches]
+    stretches += [(s, None, "") for s in result.free] + [(s, None, why) for s, why in result.unlearnt]
     phases = list[_Phase]()  # on the clocks of the original recordings
     for s, k, why in sorted(stretches, key=lambda x: (x[0].recording, x[0].start)):
         pieces = recordings.origins[s.recording]
@@ -317,23 +317,23 @@ def make_reports(found: Answers, context: Context) -> list[Learnt]:
             start, end = max(s.start - added, float(time[0])), min(s.end - added, float(time[-1]))
             if start < end or len(pieces) == 1:
                 phases.append(_Phase(given_names[number], start, end, k, why))
-    odd = tuple(OddTrajectory(names[i], printable(why)) for i, why in sorted(found.odd.items()))
-    warnings = [*recordings.warnings, *found.warnings]
+    odd = tuple(OddTrajectory(names[i], printable(why)) for i, why in sorted(result.odd.items()))
+    warnings = [*recordings.warnings, *result.warnings]
     if alone := [p for p in phases if p.reason == IN_ONE_ONLY]:
         contacts = f"{counted(len(alone), 'contact')} that one recording alone shows"
         warnings.append(f"record again, at least twice, {contacts}: {_spans(alone)}")
     if odd:
         reasons = "; ".join(f"{o.trajectory}: {o.reason}" for o in odd)
-        out = "what does not agree was left out of the first constraint"
+        out = "they were left out of the first constraint"
         warnings.append(f"{len(odd)} of {len(names)} recordings do not agree with the others; {out}: {reasons}")
     hashed = [{"name": n, "sha256": checksum(t)} for n, t in zip(given_names, recordings.given, strict=True)]
     origin = {"version": version(), "date": datetime.now(UTC).isoformat(timespec="seconds"), "recordings": hashed}
     origin["settings"] = _plain(context.settings)
     overview = RecordingOverview(tuple(phases), odd, warnings)
-    return [_report(answer, overview, context, origin) for answer in found.answers]
+    return [_report(answer, overview, context, origin) for answer in result.answers]
 
 
-def _report(answer: Answer, overview: RecordingOverview, context: Context, made: dict[str, Any]) -> Learnt:
+def _report(answer: Answer, overview: RecordingOverview, context: Context, origin: dict[str, Any]) -> Learnt:
     most_postures = 144  # in a constraint's file: a drawer's place and reach to 1 or 2 cm, in 10 kB
     enough, most_notes = 5, 20  # recordings without a warning: five hardly agree by chance; lines
     table, features, selection = context.table, answer.asked.features, answer.asked.selection
@@ -350,7 +350,7 @@ def _report(answer: Answer, overview: RecordingOverview, context: Context, made:
     inside = table.inside(answer.stretches)
     shares, still = excitation(table.joint_names, table.u[inside])
     if still:
-        unknown = "what the arm did not try cannot be told from what it could not do"
+        unknown = "a direction that was never exercised looks like a constrained one"
         warnings.append(f"{named('joint', still)} hardly moved: {unknown}")
     kind = "motion-constrained" if answer.estimator == "null-space" else "self-imposed"
     free = free_directions(selection, used)
@@ -382,7 +382,7 @@ def _report(answer: Answer, overview: RecordingOverview, context: Context, made:
     )
     indices = np.flatnonzero(inside)[evenly(report.n_samples, most_postures)]
     provenance = {key: value for key, value in report.to_dict().items() if key in PROVENANCE}
-    provenance["made"] = dict(made)
+    provenance["made"] = dict(origin)
     provenance["postures"] = np.round(table.q[indices], 5).tolist()
     provenance["posture_trajectories"] = table.recording[indices].tolist()
     whole = answer.whole

@@ -257,7 +257,7 @@ class Explanation:
     def __init__(self, views: Sequence[View], hypotheses: Sequence[Hypothesis], switch: float):
         self.views, self.hypotheses, self.switch = list(views), list(hypotheses), switch
         m = views[0].thin
-        self.values, self.states = self.seen([v.thin for v in views])
+        self.values, self.states = self.evaluate([v.thin for v in views])
         self.explained = self.values[np.arange(len(self.values)), self.states]
         # evidence of each sample for its best explanation without each of the hypotheses [nats]
         self.others = [np.delete(self.values, k + 1, axis=1).max(axis=1) for k in range(len(hypotheses))]
@@ -267,7 +267,7 @@ class Explanation:
             self.hypotheses[k] = replace(h, gains=gains)
         self.supports = np.array([h.support for h in self.hypotheses])
 
-    def seen(self, samples: Sequence[Samples]) -> tuple[np.ndarray, np.ndarray]:
+    def evaluate(self, samples: Sequence[Samples]) -> tuple[np.ndarray, np.ndarray]:
         """Return the evidence of samples for free motion and all hypotheses, and the most likely states.
 
         Args:
@@ -283,7 +283,7 @@ class Explanation:
             return values, np.zeros(len(free), dtype=int)
         return values, viterbi(values[:, None, 1:], samples[0].first, self.switch)[0][:, 0]
 
-    def without_weakest(self) -> Explanation:
+    def drop_weakest(self) -> Explanation:
         """Return the explanation without the hypothesis that has the smallest support."""
         others = [h for k, h in enumerate(self.hypotheses) if k != int(self.supports.argmin())]
         return Explanation(self.views, others, self.switch)
@@ -299,7 +299,7 @@ class Explanation:
         baseline = np.where((self.states > 0) & ~own_samples, self.others[k], 0.0)
         return fit_hypotheses(self.views, [start], own_samples[:, None], baseline, self.switch)[0]
 
-    def settled(self) -> Explanation:
+    def refit_all(self) -> Explanation:
         """Fit each hypothesis to the samples that it explains, and repeat while the total evidence grows."""
         best = self
         for _ in range(TURNS):
@@ -310,7 +310,7 @@ class Explanation:
             best = now
         return best
 
-    def has_twins(self) -> bool:
+    def has_duplicates(self) -> bool:
         """Return True if two hypotheses differ by less than their own scales."""
         for a, b in combinations(self.hypotheses, 2):
             if a.view == b.view and len(a.rows) == len(b.rows):
@@ -346,13 +346,13 @@ class Explanation:
 
 
 def score_hypotheses(
-    views: Sequence[View], tried: Sequence[Hypothesis], scales: Sequence[Scale], baseline: np.ndarray, switch: float
+    views: Sequence[View], trials: Sequence[Hypothesis], scales: Sequence[Scale], baseline: np.ndarray, switch: float
 ) -> np.ndarray:
     """Return the gain of each recording over the baseline by each hypothesis at each scale.
 
     Args:
         views: All views.
-        tried: h hypotheses.
+        trials: h hypotheses.
         scales: k scales, see `Hypothesis`.
         baseline: Array (n,), evidence of each sample without them [nats].
         switch: Switching cost [nats].
@@ -364,9 +364,9 @@ def score_hypotheses(
     n, first = len(baseline), views[0].thin.first
     out = [np.zeros((len(first) - 1, 0, len(scales)))]
     at_once = max(1, max_numbers // (n * len(scales)))
-    for i in range(0, len(tried), at_once):
+    for i in range(0, len(trials), at_once):
         values = []
-        for (view, _), alike in groupby(tried[i : i + at_once], key=lambda h: (h.view, len(h.rows))):
+        for (view, _), alike in groupby(trials[i : i + at_once], key=lambda h: (h.view, len(h.rows))):
             rows = np.stack([h.rows for h in alike])
             values.append(evidence(views[view].thin, rows, scales) - baseline[:, None, None])
         gains = viterbi(np.concatenate(values, axis=1).reshape(n, -1, 1), first, switch, path=False)[1]
@@ -375,14 +375,14 @@ def score_hypotheses(
 
 
 def fit_hypotheses(
-    views: Sequence[View], hypotheses: Sequence[Hypothesis], held: np.ndarray, baseline: np.ndarray, switch: float
+    views: Sequence[View], hypotheses: Sequence[Hypothesis], mask: np.ndarray, baseline: np.ndarray, switch: float
 ) -> list[Hypothesis]:
     """Fit each hypothesis to its samples: take the rows that they use least, at the scale with the largest gain.
 
     Args:
         views: All views.
         hypotheses: h hypotheses; those with too few moving samples keep their rows.
-        held: Array (n, h), True for samples of the hypothesis.
+        mask: Array (n, h), True for samples of the hypothesis.
         baseline: Array (n,), evidence of each sample without them [nats].
         switch: Switching cost [nats].
 
@@ -390,7 +390,7 @@ def fit_hypotheses(
         Fitted hypotheses, with their gains over the baseline.
     """
     out = list[Hypothesis]()
-    for h, samples in zip(hypotheses, held.T, strict=True):
+    for h, samples in zip(hypotheses, mask.T, strict=True):
         m, (steady, share) = views[h.view].thin, np.square(h.scale)
         if np.count_nonzero(samples & m.moving) >= 3 * m.rates.shape[1]:
             w = np.where(samples, m.weight / (m.noise * steady + m.free * share), 0.0)  # by their expected variance
@@ -470,15 +470,15 @@ def add_hypotheses(now: Explanation, believed: Test, refused: list[Hypothesis], 
         ranked = sorted(candidates(now, allowed), key=lambda h: h.price(seconds) - h.support)
         gaining = (h for h in ranked if h.support - h.price(seconds) > LEAST_GAIN)
         for h in islice((h for h in gaining if not any(similar(h, x) for x in refused)), max_tests):
-            trial = Explanation(views, [*now.hypotheses, h], now.switch).settled()
+            trial = Explanation(views, [*now.hypotheses, h], now.switch).refit_all()
             last, stretches = trial.hypotheses[-1], trial.stretches(len(trial.hypotheses))
-            if last.support > LEAST_GAIN and not trial.has_twins() and believed(views[h.view], last, stretches):
+            if last.support > LEAST_GAIN and not trial.has_duplicates() and believed(views[h.view], last, stretches):
                 break
             refused.append(h)
         else:
             return now
         while len(trial.hypotheses) > 1 and trial.supports.min() < LEAST_GAIN:
-            trial = trial.without_weakest()
+            trial = trial.drop_weakest()
         refused += [h for h in now.hypotheses if not any(similar(h, x) for x in trial.hypotheses)]
         now = trial
     return now
@@ -513,41 +513,41 @@ def explain(views: Sequence[View], believed: Test, switch: float, first: int = 0
             if trial.explained.sum() - price >= now.explained.sum():
                 now = trial
                 break
-    while now.has_twins():
-        now = now.without_weakest()
+    while now.has_duplicates():
+        now = now.drop_weakest()
     return now
 
 
 def lone_contacts(
-    found: Explanation, places: Sequence[int], supported: Callable[[View, Stretch], int]
+    explanation: Explanation, places: Sequence[int], supported: Callable[[View, Stretch], int]
 ) -> list[Stretch]:
     """Return further stretches in which rows are firmly constrained in one recording alone.
 
     They are reported, so that they can be recorded again, and not learnt.
 
     Args:
-        found: Explanation of all recordings.
+        explanation: Explanation of all recordings.
         places: Numbers of the views of the position of the hand.
         supported: Function of a view and a stretch that returns the number of rows with evidence.
     """
     out = list[Stretch]()
-    for i, moved in enumerate(found.views[0].table.moved):
+    for i, moved in enumerate(explanation.views[0].table.moved):
         alone = Table([moved])
-        views = [v.of_recording(i, alone) for v in found.views]
-        rest, m = Explanation(views, found.hypotheses, found.switch), views[0].thin
+        views = [v.for_recording(i, alone) for v in explanation.views]
+        rest, m = Explanation(views, explanation.hypotheses, explanation.switch), views[0].thin
         free = np.sum(m.weight[(rest.states == 0) & m.moving])
         proposals = candidates(rest, places) if free > SHORTEST else []
         firm = [h for h in proposals if h.scale[1] <= SLIGHT and h.support > LEAST_GAIN]
         if not firm:
             continue
-        h, k = max(firm, key=lambda h: h.support), len(found.hypotheses)
-        both = Explanation(views, [*found.hypotheses, h], found.switch)
+        h, k = max(firm, key=lambda h: h.support), len(explanation.hypotheses)
+        both = Explanation(views, [*explanation.hypotheses, h], explanation.switch)
         values = both.values[:, k + 1] - both.others[k]
-        for s in both.stretches(k + 1, both.seen([v.all for v in views])[1]):
+        for s in both.stretches(k + 1, both.evaluate([v.all for v in views])[1]):
             # without the quarter that gains most, net of the price, and of the changes into and out of the stretch
             parts = [values[(m.time >= a) & (m.time < b)].sum() for a, b in pairwise(np.linspace(s.start, s.end, 5))]
-            worth = sum(parts) - max(parts) - h.price(s.end - s.start) - found.switch
+            worth = sum(parts) - max(parts) - h.price(s.end - s.start) - explanation.switch
             there = s._replace(recording=i)
-            if worth > LEAST_GAIN and supported(found.views[h.view], there) >= len(h.rows):
+            if worth > LEAST_GAIN and supported(explanation.views[h.view], there) >= len(h.rows):
                 out.append(there)
     return out

@@ -25,20 +25,20 @@ class _Contact(NamedTuple):
     piece: Trajectory
 
 
-def build_skill(constraints: Sequence[Constraint], found: Answers, table: Table) -> Skill:
+def build_skill(constraints: Sequence[Constraint], result: Answers, table: Table) -> Skill:
     """Build the skill: the constraints in the order in which most recordings show them, each with its demonstrated
     motion.
 
     Args:
         constraints: Constraint of each answer, with all its rows.
-        found: Answers, with their stretches.
+        result: Answers, with their stretches.
         table: Samples.
 
     Returns:
         Skill; without steps if the answers have no stretches.
     """
     retreat = 0.02  # [m] smallest motion after the last contact that is a retreat, not only a release
-    numbered = [(number, stretch) for number, answer in enumerate(found.answers) for stretch in answer.stretches]
+    numbered = [(number, stretch) for number, answer in enumerate(result.answers) for stretch in answer.stretches]
     order: dict[int, list[_Contact]] = {stretch.recording: [] for _, stretch in numbered}
     for number, stretch in sorted(numbered, key=lambda one: one[1].start):
         piece, before = table.moved[stretch.recording][stretch.start : stretch.end], order[stretch.recording]
@@ -78,7 +78,7 @@ def build_skill(constraints: Sequence[Constraint], found: Answers, table: Table)
     return Skill(tuple(constraints), tuple(steps), (note,) if times < len(order) else ())
 
 
-def _grip_motion(features: FeatureMap, table: Table, chosen: dict[int, list[_Contact]], k: int) -> list[dict[str, Any]]:
+def _grip_motion(features: FeatureMap, table: Table, demos: dict[int, list[_Contact]], k: int) -> list[dict[str, Any]]:
     """Return the arguments of `Step` that close a gripper as contact begins, and those that open it again.
 
     Both are empty unless in most recordings joints that do not move the hand move or press as contact begins.
@@ -93,7 +93,7 @@ def _grip_motion(features: FeatureMap, table: Table, chosen: dict[int, list[_Con
     if not len(fingers):
         return [{}, {}]
     grips: list[tuple[np.ndarray, np.ndarray]] = []
-    for recording, contacts in chosen.items():
+    for recording, contacts in demos.items():
         piece, whole = contacts[k].piece, table.moved[recording]
         since = contacts[k - 1].piece.time[-1] if k else -np.inf
         before = (since < whole.time) & (whole.time < piece.time[0])
@@ -109,7 +109,7 @@ def _grip_motion(features: FeatureMap, table: Table, chosen: dict[int, list[_Con
             moves |= rise > least_rise * np.max(efforts, axis=0)
         if moves.any():
             grips.append((closed, opened))
-    if len(grips) <= 0.5 * len(chosen):
+    if len(grips) <= 0.5 * len(demos):
         return [{}, {}]
     names = [robot.joint_names[i] for i in fingers]
     closed, opened = (dict(zip(names, map(float, q), strict=True)) for q in np.median(grips, axis=0))

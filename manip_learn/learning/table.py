@@ -361,7 +361,7 @@ class View:
         rates = np.einsum("npv,nv->np", self.hand.between.rows(self.features), self.hand.step)
         return np.insert(np.cumsum(rates[:-1], axis=0), 0, 0.0, axis=0) @ self.W.T
 
-    def of_recording(self, i: int, alone: Table) -> View:
+    def for_recording(self, i: int, alone: Table) -> View:
         """Return the view of one recording alone, with the whitening matrix of all recordings.
 
         Args:
@@ -385,7 +385,7 @@ class View:
         """
         return np.cumsum(self.all.rates[inside] * self.all.weight[inside, None], axis=0) @ rows.T
 
-    def steady(self, rows: np.ndarray, stretches: Sequence[Stretch]) -> list[Stretch]:
+    def steady_stretches(self, rows: np.ndarray, stretches: Sequence[Stretch]) -> list[Stretch]:
         """Return the stretches that rest along the rows as most do; in the others the hand slips.
 
         Args:
@@ -404,7 +404,7 @@ class View:
         steady = [x for x, way, least in zip(stretches, moved, most, strict=True) if way <= least]
         return steady if 2 * len(steady) > len(stretches) else list(stretches)
 
-    def sharpened(self, rows: np.ndarray, s: Stretch) -> Stretch:
+    def trim(self, rows: np.ndarray, s: Stretch) -> Stretch:
         """Return the stretch without ends that have moved along the rows further than its inner part.
 
         A hand that leaves a surface at a flat angle has moved along the rows before its velocity shows it.
@@ -465,7 +465,7 @@ def row_maps(asked: Sequence[FeatureMap], table: Table, what: Literal["place", "
         others = [f for f in asked if f not in frames]
     axes = {"place": AXES[:3], "whole": AXES, "surface": ()}[what]
     forms: dict[str, tuple[PlaceForm, ...]] = {"place": ("point",), "whole": ("point and rotation", "twist")}
-    maps = [*(seen.changed(axes=axes) for f in frames if axes for seen in (f, f.twist)), *others]
+    maps = [*(map_.changed(axes=axes) for f in frames if axes for map_ in (f, f.twist)), *others]
     for f in frames[:1]:
         middle = table.hand(f).poses[:: max(1, len(table.q) // 500), :3, 3].mean(axis=0)
         maps += [PlaceRows(f.robot, f.frame.name, m, middle, **f.seen_from) for m in forms.get(what, ("surface",))]
@@ -514,11 +514,11 @@ def refuse_unusable(recorded: Demonstrations, derived: Demonstrations, features:
         if moved[j] >= 3.0 * OVER_NOISE * noise[j] and np.max(moved) >= LEAST_MOTION:
             break
         joint = t.joint_names[j] if len(t.joint_names) == t.q.shape[1] else f"column {j}"
-        moves_by = f"{joint} in {t.name}, by {moved[j]:.2g} where its noise is {noise[j]:.2g} (standard deviation)"
+        moves_by = f"of {joint} in {t.name}, {moved[j]:.2g} with a noise of {noise[j]:.2g} (standard deviation)"
         largest.append((moved[j] / noise[j], moves_by))
     else:
-        least = f"the noise of its positions does, and {LEAST_MOTION:g} rad or m"
-        why = f"no joint moves farther than {least}: the farthest is {max(largest)[1]}: record a motion"
+        least = f"its encoder noise and {LEAST_MOTION:g} rad or m"
+        why = f"no joint moves further than {least}; the largest motion is {max(largest)[1]}: record a motion"
         raise NotIdentifiableError(why, code="no-motion")
     # outliers of the velocity
     u = np.concatenate([np.asarray(t.u) for t in derived])
@@ -580,7 +580,7 @@ def table_refusal(table: Table, r: int, n_constraints: int | None) -> NotIdentif
     if (different := len(np.unique(samples, axis=0))) >= needed:
         return None
     few = f"{counted(different, 'different moving sample')} cannot determine a constraint on {counted(r, 'row')}"
-    return NotIdentifiableError(f"record more: {few}, {needed} can and many more are better", code="too-few-samples")
+    return NotIdentifiableError(f"record more: {few}, {needed} can, and many more are better", code="too-few-samples")
 
 
 # ------------------------------------ even subsampling of large sets while they are read, here or by dask's workers

@@ -82,7 +82,7 @@ class Surroundings:
         """
         return links[1] in self.handled and links[0] in self.hand
 
-    def lowered(self, depth: float) -> Surroundings:
+    def with_lower_floor(self, depth: float) -> Surroundings:
         """Return the same obstacles with a lower floor.
 
         Args:
@@ -171,9 +171,11 @@ class Clearance:
         below = [(-p.distance, where, p.links[0]) for p, where in pairs if p.links[1] == FLOOR and p.distance <= 0.0]
         if FLOOR in around.assumed and below:
             depth, where, link = max(below)
-            self.around = around.lowered(CLEARANCE + depth)
+            self.around = around.with_lower_floor(CLEARANCE + depth)
             self.links = self.links.with_obstacles(self.around.obstacles, checks_links)
-            self.notes.append(f"{where} {link!r} is below the base: the floor is taken {CLEARANCE + depth:.3f} m lower")
+            self.notes.append(
+                f"{where} {link!r} is below the base: the floor is assumed {CLEARANCE + depth:.3f} m lower"
+            )
         near = [pair for pair in self._pairs(start, 2.0 * CLEARANCE) if pair.distance >= 0.0]
         # the nearest shapes count for links with several shapes
         self._least = {p.links: 0.5 * p.distance for p in sorted(near, key=lambda p: -p.distance)}
@@ -228,7 +230,7 @@ class Clearance:
             out.append(o.to_dict(max_triangles // len(around.obstacles)) | facts)
         return tuple(out)
 
-    def holding(self, holds: Iterable[Posture]) -> Clearance:
+    def for_grasps(self, holds: Iterable[Posture]) -> Clearance:
         """Return this check for a hand that penetrates handled objects no deeper than it has to.
 
         Args:
@@ -244,7 +246,7 @@ class Clearance:
             other._held = min(max(map(distance, holds), default=room), distance(self._start)) - _ROUNDED
         return other
 
-    def touching(self, q: Posture, distance: float = CLEARANCE) -> Proximity | None:
+    def nearest_contact(self, q: Posture, distance: float = CLEARANCE) -> Proximity | None:
         """Return the nearest pair that is closer than allowed.
 
         Args:
@@ -264,9 +266,9 @@ class Clearance:
             q: Joint positions (nv,) [rad or m].
         """
         clear = self.links.is_clear(self._robot.configuration(q), CLEARANCE)
-        return clear or (bool(self._least or self.around.handled) and self.touching(q) is None)
+        return clear or (bool(self._least or self.around.handled) and self.nearest_contact(q) is None)
 
-    def of_line(self, a: Posture, b: Posture) -> bool:
+    def is_line_clear(self, a: Posture, b: Posture) -> bool:
         """Return True if the straight joint motion between two postures is clear; the middle is checked first.
 
         Args:
@@ -277,7 +279,7 @@ class Clearance:
         half = (len(between) + 1) // 2
         return all(self(q) for _, q in sorted(enumerate(between, 1), key=lambda one: abs(one[0] - half)))
 
-    def in_line(self, a: Posture, b: Posture) -> tuple[str, str] | None:
+    def first_contact(self, a: Posture, b: Posture) -> tuple[str, str] | None:
         """Return the first pair in contact on the straight joint motion between two postures.
 
         Args:
@@ -287,16 +289,16 @@ class Clearance:
         Returns:
             Names of the pair; None if the motion is clear.
         """
-        return next((pair.links for q in self._line(a, b) if (pair := self.touching(q)) is not None), None)
+        return next((pair.links for q in self._line(a, b) if (pair := self.nearest_contact(q)) is not None), None)
 
-    def of_way(self, path: Iterable[Posture]) -> bool:
+    def is_path_clear(self, path: Iterable[Posture]) -> bool:
         """Return True if a joint path is clear, with the straight motions between its postures.
 
         Args:
             path: Joint positions (nv,) of each posture [rad or m].
         """
         path = list(path)
-        return all(map(self, path)) and all(self.of_line(*ends) for ends in pairwise(path))
+        return all(map(self, path)) and all(self.is_line_clear(*ends) for ends in pairwise(path))
 
     def _pairs(self, q: Posture, distance: float) -> list[Proximity]:
         return self.links.closer_than(self._robot.configuration(q), distance)

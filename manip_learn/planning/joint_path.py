@@ -57,7 +57,7 @@ def joint_path(
     n_searches, inflations = 3, (1.0, 0.4, 2.0)  # in each copy; times the clearance
     if not (clear(start) and clear(goal)):
         return None
-    if clear.of_line(start, goal):
+    if clear.is_line_clear(start, goal):
         return [start, goal]
     why = "every path that was found comes too near to something on the way"
     endless = (np.array(robot.joint_units) == "rad") & ~np.isfinite(limits.lower) & ~np.isfinite(limits.upper)
@@ -74,7 +74,7 @@ def joint_path(
                 why = str(error)
                 break
             path = [start, *(knots[1:-1] + turns), goal]
-            if len(knots) and clear.of_way(path):
+            if len(knots) and clear.is_path_clear(path):
                 return path
     _LOG.info("no path round what is in the way: %s", why)
     return None

@@ -181,10 +181,10 @@ def plan(
         raise ConfigurationError(f"a plan needs {fewest} candidates or more, got {candidates!r}")
     report = progress or (lambda _title, _share: None)
     problem = _Problem(constraint, motion, start, seed, limits, collision, scene, dt, takes)
-    if takes and (result := problem.followed(report)) is not None:
+    if takes and (result := problem.follow(report)) is not None:
         return result
-    result = problem.searched(candidates, report)
-    note = "no recording could be followed: the posture was searched"
+    result = problem.search(candidates, report)
+    note = "no recording could be followed: the grasp configuration was searched"
     return replace(result, notes=(*result.notes, note)) if takes else result
 
 
@@ -233,7 +233,7 @@ def approach(
         return how, law, replace(rollout, manipulability=manipulability_batch(rows, rollout.q).mu)
 
     inside = shown is not None and np.all((shown >= limits.lower) & (shown <= limits.upper))
-    if shown is not None and inside and clear.of_way(shown) and (result := through("as shown", shown, True)):
+    if shown is not None and inside and clear.is_path_clear(shown) and (result := through("as shown", shown, True)):
         return result
     path = joint_path(robot, robot.positions(start), goal, limits, clear, seed)
     if path is None:
@@ -305,13 +305,13 @@ class _Problem:
         constraint, motion, takes = self.constraint, self.motion, self.takes
         if not isinstance(motion, FreeDirection):
             raise ConfigurationError(
-                f"call plan(constraint, motion, start): the motion is {an(motion)}; "
+                f"plan() expects the task returned by motion(), got {an(motion)}; "
                 + "motion(constraint, distance=... | angle=...) makes one"
             )
         self.rows = motion.rows(constraint)
         robot = constraint.robot
         if robot is None:
-            raise FeatureError("a way is planned for a robot: the features have none")
+            raise FeatureError("a plan needs a robot: the features have none")
         self.robot, self.motion, self.rng = robot, motion.with_distance(motion.wanted), np.random.default_rng(self.seed)
         self.start, self.limits = robot.checked_posture(self.start), self.limits or Limits(robot)
         self.vain = 0  # failed searches for an approach
@@ -319,12 +319,12 @@ class _Problem:
         self.unreached: tuple[str, str] | None = None  # pair in contact between the start and a grasp configuration
         if unsuited := [b for b in robot.blocks if b.kind in ("floating", "planar", "other")]:
             raise FeatureError(
-                f"joint {unsuited[0].name!r} is {unsuited[0].kind}: a way is planned for revolute, continuous and "
+                f"joint {unsuited[0].name!r} is {unsuited[0].kind}: plan() supports revolute, continuous and "
                 "prismatic joints only; load the robot with a fixed base"
             )
         if len(endless := np.flatnonzero(~np.isfinite(self.limits.velocity))):
             raise ConfigurationError(
-                f"joint {robot.joint_names[endless[0]]!r} has no velocity limit, in units of which margins are counted"
+                f"joint {robot.joint_names[endless[0]]!r} has no velocity limit, the unit of the margins"
                 ": state it in the robot's description, or pass limits=Limits(robot, velocity=...)"
             )
         self.positions = robot.positions(self.start)
@@ -336,7 +336,7 @@ class _Problem:
         around = Surroundings()
         if (scene := self.scene) is not None:
             if not isinstance(scene, Scene) and scene != "assumed":
-                expected = "a scene is a Scene, None for nothing, or left out to be assumed"
+                expected = "scene must be a Scene, None for no obstacles, or 'assumed'"
                 raise ConfigurationError(f"{expected}, not {an(scene)}")
             features: Any = self.rows.features
             around = Surroundings.of(None if scene == "assumed" else scene, robot, features.frame)
@@ -346,7 +346,7 @@ class _Problem:
         self.notes = (*self.clear.notes, *self._contradicted(around), *self.notes)
 
         check_inside(robot, self.positions)
-        if (touching := self.clear.touching(self.positions, distance=0.0)) is not None:
+        if (touching := self.clear.nearest_contact(self.positions, distance=0.0)) is not None:
             one, other = touching.links
             raise TargetError(
                 f"at the start {one!r} and {other!r} touch, {abs(1e3 * touching.distance):.2g} mm deep: start elsewhere"
@@ -358,11 +358,11 @@ class _Problem:
         stated, deepest = set(around.names) - around.assumed, dict[str, tuple[float, str]]()
         for take in self.takes if stated else ():
             for q in take.q[::LOOKED_AT] if np.allclose(take.moved, np.eye(4)) else ():
-                pair = self.clear.touching(q, distance=0.0)
+                pair = self.clear.nearest_contact(q, distance=0.0)
                 if pair is not None and (name := pair.links[1]) in stated:
                     deepest[name] = max(deepest.get(name, (0.0, "")), (-pair.distance, take.name))
         for name, (depth, take) in deepest.items():
-            yield f"{take} passes {1e3 * depth:.0f} mm inside {name!r}: the scene does not stand where it was shown"
+            yield f"{take} passes {1e3 * depth:.0f} mm inside {name!r}: the scene does not match the demonstrations"
 
     def marches(self, candidates: int, stations: Stations | None = None) -> ways.PathCandidates:
         """Return candidate postures along the motion.
@@ -373,29 +373,29 @@ class _Problem:
         """
         return ways.propagate_candidates(stations or self.stations, self.positions, candidates, self.rng)
 
-    def followed(self, said: Progress) -> Plan | None:
+    def follow(self, report: Progress) -> Plan | None:
         """Return a plan that follows the first feasible recording, see `planning.ways`; None if there is none.
 
         Args:
-            said: Function of the name of a stage and its completed share.
+            report: Function of the name of a stage and its completed share.
         """
         candidates = ways.follow_recordings(self.motion, self.takes, self.stations, self.positions)
         for compared, one in enumerate(candidates):
             name = "the arm as it stands" if one.take is None else one.take.name
-            said(f"following {name}", 0.2 + 0.6 * compared / (len(self.takes) + 1))
-            clear = self.clear.holding(one.path[:1])
-            if clear.of_way(one.path) and (plan := self._tried(one, clear, compared + 1)) is not None:
-                return plan
+            report(f"following {name}", 0.2 + 0.6 * compared / (len(self.takes) + 1))
+            clear = self.clear.for_grasps(one.path[:1])
+            if clear.is_path_clear(one.path) and (result := self._tried(one, clear, compared + 1)) is not None:
+                return result
         return None
 
-    def searched(self, candidates: int, said: Progress) -> Plan:
+    def search(self, candidates: int, report: Progress) -> Plan:
         """Search for the plan with the largest margin that completes in simulation.
 
         Grasps with the demonstrated orientation of the hand come first, if it is known.
 
         Args:
             candidates: Number of seeds.
-            said: Function of the name of a stage and its completed share.
+            report: Function of the name of a stage and its completed share.
 
         Raises:
             NoPlanError: The motion is infeasible from every configuration that was tried.
@@ -403,22 +403,22 @@ class _Problem:
         """
         factor, n_simulated = 4, 8  # times the seeds in the second search; best margin first
         for share, number in enumerate((candidates, factor * candidates)):
-            said("comparing postures", 0.1 + 0.4 * share)
+            report("comparing postures", 0.1 + 0.4 * share)
             marches = self.marches(number)
             choices = marches.choices(len(self.stations) - 1)
-            clear = self.clear.holding(marches.q[choices, 0])
+            clear = self.clear.for_grasps(marches.q[choices, 0])
             for one in islice(self._relaxed(marches, choices, clear), n_simulated):
-                said("simulating the best of them", 0.3 + 0.4 * share)
+                report("simulating the best of them", 0.3 + 0.4 * share)
                 if (result := self._tried(one, clear, len(choices))) is None:
                     continue
-                said("planned", 1.0)
-                if np.array_equal(one.path[0], self.positions) or self.stations.takes_hold_as_shown(one.path[:1])[0]:
+                report("planned", 1.0)
+                if np.array_equal(one.path[0], self.positions) or self.stations.grasps_as_shown(one.path[:1])[0]:
                     return result
-                note = "the hand takes hold turned otherwise than shown: so turned it finds no way"
+                note = "the orientation of the grasp differs from the demonstrations: with theirs no plan was found"
                 return replace(result, notes=(*result.notes, note))
         if self.missing is not None:
             raise self.missing
-        said("looking for what would help", 0.9)
+        report("looking for what would help", 0.9)
         raise self.refusal(marches, candidates)
 
     def _relaxed(
@@ -426,13 +426,15 @@ class _Problem:
     ) -> Iterator[ways.Candidate]:
         """Yield clear marches; relaxed if the result is also clear and grasps with the same orientation."""
         most_failures = 3  # of searches for an approach, half a second each: then only straight ones
-        as_shown = self.stations.takes_hold_as_shown
-        for march, stands in zip(choices.tolist(), marches.stand(choices).tolist(), strict=True):
+        as_shown = self.stations.grasps_as_shown
+        for march, stands in zip(choices.tolist(), marches.begin_at_start(choices).tolist(), strict=True):
             path = marches.q[march]
-            if not clear.of_way(path) or (self.vain >= most_failures and not clear.of_line(self.positions, path[0])):
+            if not clear.is_path_clear(path) or (
+                self.vain >= most_failures and not clear.is_line_clear(self.positions, path[0])
+            ):
                 continue
             better = ways.relax(self.stations, path, pinned=stands)
-            if as_shown(better[:1])[0] >= as_shown(path[:1])[0] and clear.of_way(better):
+            if as_shown(better[:1])[0] >= as_shown(path[:1])[0] and clear.is_path_clear(better):
                 path = better
             yield ways.Candidate(self.motion, self.stations, path)
 
@@ -454,7 +456,12 @@ class _Problem:
         law = self._law(motion, stations.time, path)
         way, outcome = simulate_way(self.robot, law, reach.q[-1], self.dt)
         begins, end = outcome.begins, float(way.time[-1])
-        if not outcome.is_done or outcome.strays or begins is None or not clear.of_way(self.robot.unwrapped(way.q)):
+        if (
+            not outcome.is_done
+            or outcome.strays
+            or begins is None
+            or not clear.is_path_clear(self.robot.unwrapped(way.q))
+        ):
             return None
         if take is not None:
             notes = (*notes, f"follows {take.name}, the approach {how}")
@@ -479,7 +486,7 @@ class _Problem:
                 return result
         except MissingExtraError as error:  # straight motions to other postures may be clear
             self.missing = error
-        self.vain, self.unreached = self.vain + 1, clear.in_line(self.positions, hold)
+        self.vain, self.unreached = self.vain + 1, clear.first_contact(self.positions, hold)
         return None
 
     def _law(self, motion: FreeDirection, time: Float[np.ndarray, " k"], path: Postures) -> ResolvedRateController:
@@ -500,7 +507,7 @@ class _Problem:
             candidates: Number of seeds.
         """
         share = 0.95  # of the way to the last reachable station, which a plan can reach
-        holding = self.clear.holding(marches.q[np.isfinite(marches.least[:, 0]), 0])
+        holding = self.clear.for_grasps(marches.q[np.isfinite(marches.least[:, 0]), 0])
         clear = marches.where(holding)
         end, last, largest, posture = len(self.stations) - 1, clear.reached, 0.0, None
         stopped_by, pair, helps = self._stopped_by(marches), self.unreached if last == end else None, tuple[str, ...]()
@@ -508,32 +515,32 @@ class _Problem:
             pair, helps = self._in_the_way(marches.q[marches.choices(end)[0]], holding)
         free = self.stations.with_rows(np.eye(6)[:3])
         if self.stations.holds_orientation and self.marches(candidates // 2, free).reached == end:
-            helps += ("a hand that may turn on the way could do it",)
+            helps += ("a hand that is free to rotate could complete it",)
         if last >= 1 and not (last == end and pair):
             largest, posture = share * float(self.stations.distance[last]), clear.q[clear.choices(last)[0], 0]
         if pair is not None:
-            where = " on the way from the start to where the hand takes hold" if last == end else ""
-            stopped_by = f"{pair[0]} and {pair[1]}, which would touch{where}"
-        requested, most = (way_in_words(far, self.motion.unit) for far in (self.motion.wanted, largest))
+            where = " on the approach to the grasp" if last == end else ""
+            stopped_by = f"{pair[0]} and {pair[1]}, which would collide{where}"
+        requested, most = (way_in_words(distance, self.motion.unit) for distance in (self.motion.wanted, largest))
         more = "".join(f"; {sentence}" for sentence in helps)
         text = f"no plan for {requested}: {most} at most, stopped by {stopped_by}{more}"
         return NoPlanError(text, largest=abs(largest), posture=posture, stopped_by=stopped_by, helps=helps)
 
     def _in_the_way(self, path: Postures, clear: Clearance) -> tuple[tuple[str, str] | None, tuple[str, ...]]:
         """Return the pair in deepest contact on a path, and possible remedies."""
-        pairs = [pair for q in path if (pair := clear.touching(q)) is not None]
+        pairs = [pair for q in path if (pair := clear.nearest_contact(q)) is not None]
         deepest = min(pairs, key=lambda pair: pair.distance, default=None)
         if deepest is None or deepest.links[1] not in clear.around.names or len({pair.links[1] for pair in pairs}) > 1:
             return None if deepest is None else deepest.links, ()
         (link, thing), depth = deepest.links, np.ceil(1e2 * (CLEARANCE - deepest.distance)) / 1e2
-        return deepest.links, (f"the {thing} {depth:.2f} m farther from {link} would leave room there",)
+        return deepest.links, (f"the {thing} {depth:.2f} m further from {link} would leave enough room",)
 
     def _stopped_by(self, marches: ways.PathCandidates) -> str:
         """Return the limit that stops the marches that come farthest, in words."""
         last = marches.reached
         if last < 0:
             gap = ways.distance_to_grasp(self.stations, self.positions, self.rng)
-            return f"the end of the arm's reach: the hand comes within {gap:.2g} m of where it should take hold"
+            return f"the end of the arm's reach: the hand comes within {gap:.2g} m of the grasp"
         if last == len(self.stations) - 1:
             return "limits of the loop in simulation"
         q = marches.q[marches.choices(last)[:1], last]

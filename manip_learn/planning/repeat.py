@@ -179,12 +179,12 @@ def repeat(
     if isinstance(skill, Constraint):
         skill = one_way(skill)
     if not isinstance(skill, Skill):
-        raise ConfigurationError(f"call repeat(skill, start): the skill is {an(skill)}; learner.skill_ is one")
+        raise ConfigurationError(f"repeat() expects a Skill, got {an(skill)}; pass learner.skill_")
     robot = skill.robot
     if robot is None or not any(step.kind == "way" for step in skill.steps):
-        raise TargetError("there is nothing to do again: the recordings show no way with a robot")
+        raise TargetError("there is nothing to reproduce: the recordings show no motion of a robot")
     if prefer not in ("shown", "room"):
-        raise ConfigurationError(f"prefer is {prefer!r}: it must be 'shown' or 'room'")
+        raise ConfigurationError(f"prefer must be 'shown' or 'room', not {prefer!r}")
     if (transform := moved if fixture_transform is None else fixture_transform) is not None:
         skill = skill.moved(_check_rigid(transform))
     q, report = robot.checked_posture(start), progress or (lambda _title, _share: None)
@@ -195,7 +195,7 @@ def repeat(
         count = counted(len(doubts), "warning")
         again.notes.append(f"learnt with {count}, read them before an arm moves: {'; '.join(doubts)}")
     if prefer == "shown" and not any(step.takes for step in skill.steps):
-        again.notes.append("no recording is kept with this task: the posture of each way is searched")
+        again.notes.append("this task contains no recordings: the grasp configuration of each motion is searched")
     for number, step in enumerate(skill.steps):
         name = _name(number, step, skill)
         report(name, number / len(skill.steps))
@@ -290,13 +290,13 @@ class _SkillRun:
         phases = ((f"{name}: {step.gripper}", 0.0, float(rollout.time[-1])),)
         self.add(law, replace(rollout, phases=phases, manipulability=np.full(len(rollout), mu)))
 
-    def way(self, step: Step, name: str, said: Progress) -> None:
+    def way(self, step: Step, name: str, report: Progress) -> None:
         """Grasp and move along the learnt constraint, as demonstrated in this step.
 
         Args:
             step: Step with the constraint and its recordings.
             name: Name of the step.
-            said: Function of the name of a stage and its completed share.
+            report: Function of the name of a stage and its completed share.
 
         Raises:
             NoPlanError: The step is infeasible.
@@ -304,10 +304,10 @@ class _SkillRun:
         """
         constraint, shared = step.as_shown, dict[str, Any](limits=self.limits, scene=self.scene, dt=self.dt)
         if constraint is None or constraint.robot is None:
-            raise TargetError(f"step {name!r}: no constraint to go along")
+            raise TargetError(f"step {name!r}: there is no constraint to move along")
         try:
             task = motion(constraint)
-            self.plan = result = plan(constraint, task, self.q, self.seed, takes=step.takes, progress=said, **shared)
+            self.plan = result = plan(constraint, task, self.q, self.seed, takes=step.takes, progress=report, **shared)
         except NoPlanError as refusal:
             raise NoPlanError(f"step {name!r}: {refusal}", **vars(refusal)) from refusal
         robot, frame = result.robot, constraint.features.frame.name  # type: ignore[attr-defined]  # checked by the plan
@@ -369,10 +369,10 @@ class _SkillRun:
         rows, end, stopped = last.task.rows(last.constraint), brought(here), None  # rows of the last motion
         to = partial(approach, start=self.q, rows=rows, limits=limits, clear=clear, seed=self.seed, dt=self.dt)
         if (result := to(end, shown=knots)) is None:  # the hand stays where it has released
-            stopped = " and ".join(clear.in_line(here, end) or ("the arm", "something")) + ", which would touch"
+            stopped = " and ".join(clear.first_contact(here, end) or ("the arm", "something")) + ", which would collide"
             result = to(here)
         if result is None:
-            raise NoPlanError(f"step {name!r}: the arm touches something where the last way ends")
+            raise NoPlanError(f"step {name!r}: the arm is in contact at the end of the last motion")
         _, law, rollout = result
         end, fast = hand.pose(rollout.q[-1])[:3, 3], _largest_speed_share(rollout, robot)
         off = float(np.linalg.norm(end - place))

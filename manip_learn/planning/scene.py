@@ -190,7 +190,7 @@ class Scene:
             if names[name] == 0:
                 raise UnknownNameError("thing", name, names, "the scene")
             if names[name] > 1:
-                raise SceneError(f"{names[name]} things are called {name!r}; a name each is expected; rename them")
+                raise SceneError(f"{names[name]} things are called {name!r}; a unique name is expected; rename them")
 
     @property
     def solids(self) -> tuple[Thing, ...]:
@@ -222,7 +222,7 @@ class Scene:
         """Assumptions about meshes, in sentences."""
         shapes = {mesh.name: mesh.shape for mesh in self.meshes}
         edges = {name: triangles.open_edges(s) for name, s in shapes.items() if not isinstance(s, Solid)}
-        meaning = "where it is open it counts as a surface, and what is behind it as free"
+        meaning = "it counts as a surface, and the space behind it as free"
         return tuple(f"mesh {name!r} has {counted(n, 'open edge')}: {meaning}" for name, n in edges.items() if n)
 
     @staticmethod
@@ -337,7 +337,7 @@ def _from_xml(content: bytes, file: Path) -> Scene:
     else:
         valid = validate_urdf(root)
     if moving := [repr(joint.name) for joint in valid.joints if joint.nv]:
-        remedy = "what stands around an arm stands still; fix each where it stands"
+        remedy = "obstacles must be static; fix each joint"
         raise SceneError(f"{named('joint', moving)} can move; {remedy}")
     robot = robot_from_text(content, file)
     touched, drawn = (visual_elements(content, file, tag) for tag in ("collision", "visual"))
@@ -377,28 +377,28 @@ def _mesh(mesh: Mesh, where: str) -> triangles.Mesh:
         vertices, faces = (np.asarray(part) for part in mesh.source)
         numbers = finite(vertices, len(vertices), 3)
         if numbers is None or finite(faces, len(faces), 3) is None or not np.isin(faces, range(len(numbers))).all():
-            expected = "vertices (n, 3) [m] and triangles (m, 3) of their numbers are expected; correct them"
+            expected = "vertices (n, 3) [m] and triangles (m, 3) of vertex numbers are expected; correct them"
             raise SceneError(f"{where}: arrays of shape {vertices.shape} and {faces.shape} make no mesh; {expected}")
     # a mirrored scale turns every triangle inside out
     return triangles.Mesh(vertices * scale, faces[:, ::-1] if np.prod(scale) < 0.0 else faces)
 
 
-def _pose(given: ArrayLike, where: str) -> Float[np.ndarray, "4 4"]:
+def _pose(pose: ArrayLike, where: str) -> Float[np.ndarray, "4 4"]:
     tolerance = 1e-6  # of the entries of a rotation: files have seven digits
     T = np.eye(4)
-    if (place := finite(given, 3)) is not None:
+    if (place := finite(pose, 3)) is not None:
         T[:3, 3] = place
-    elif (numbers := finite(given, 6)) is not None:
+    elif (numbers := finite(pose, 6)) is not None:
         x, y, z, roll, pitch, yaw = numbers.tolist()
         T = as_matrix(Pose((x, y, z), (roll, pitch, yaw)))
-    elif (matrix := finite(given, 4, 4)) is not None:
+    elif (matrix := finite(pose, 4, 4)) is not None:
         T = matrix
     else:
         expected = "three numbers, six with roll, pitch and yaw, or a 4 x 4 matrix are expected [m, rad]"
-        raise SceneError(f"{where}: its place is {given!r}; {expected}; correct it")
+        raise SceneError(f"{where}: its pose is {pose!r}; {expected}; correct it")
     R = T[:3, :3]
     off = float(max(np.abs(R.T @ R - np.eye(3)).max(), np.abs(T[3] - [0.0, 0.0, 0.0, 1.0]).max()))
     if off > tolerance or np.linalg.det(R) < 0.0:
         fault = "mirrors" if off <= tolerance else f"is not rigid, by {off:.2g}"
-        raise SceneError(f"{where}: its pose {fault}; a rotation and a place are expected; give a scale apart from it")
+        raise SceneError(f"{where}: its pose {fault}; expected a rotation and a translation; pass the scale separately")
     return T

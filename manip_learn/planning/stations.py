@@ -86,7 +86,7 @@ class Stations:
         period, fewest, most = 0.1, 16, 64  # [s]: 1 cm at 0.1 m/s, where a joint path bends by less than 1 mm
         features: Any = motion.constraint.features
         if (hand := features.twist) is None:
-            raise FeatureError(f"a way is planned for the rows of a frame, not for {features!r}")
+            raise FeatureError(f"a plan needs the rows of a frame, not {features!r}")
         time, distance, ends = motion.table(start, period, fewest, most)
         goals = np.array(ends)
         if goals.ndim == 2:  # a motion of the hand's position: other coordinates stay as at the start
@@ -135,7 +135,7 @@ class Stations:
         table = np.repeat(rows[None], len(self), axis=0)
         return replace(self, rows=table, grip=None, grasp=self.grasp if grasp is None else grasp)
 
-    def takes_hold_as_shown(self, q: Postures) -> Bool[np.ndarray, " n"]:
+    def grasps_as_shown(self, q: Postures) -> Bool[np.ndarray, " n"]:
         """Return True for postures at the first station in which the hand has its demonstrated orientation.
 
         Args:
@@ -206,27 +206,27 @@ def solve_ik(
         if turns is not None:
             twist[:, 3:] = Rotation.from_matrix(turns[todo] @ pose[:, :3, :3].transpose(0, 2, 1)).as_rotvec()
         error = np.einsum("nsk,nk->ns", rows[todo], twist)
-        far = np.sqrt(np.sum(error * error, axis=1))
-        there[todo], late = far < tolerance, far >= tolerance
+        size = np.sqrt(np.sum(error * error, axis=1))
+        there[todo], late = size < tolerance, size >= tolerance
         if step == steps or not late.any():
             break
-        todo, error, far = todo[late], error[late], far[late]
+        todo, error, size = todo[late], error[late], size[late]
         A, x = rows[todo] @ hand.batch(q[todo]), q[todo]
-        out = x + _least_step(A, error, far)
+        out = x + _least_step(A, error, size)
         blocked = (out < low) | (out > high)  # these joints move to their limits, the others do the rest
         edge = np.where(blocked, np.clip(out, low, high) - x, 0.0)
-        rest = _least_step(A * ~blocked[:, None], error - np.einsum("nsj,nj->ns", A, edge), far)
+        rest = _least_step(A * ~blocked[:, None], error - np.einsum("nsj,nj->ns", A, edge), size)
         q[todo] = np.clip(x + edge + rest, low, high)
     return q, there
 
 
 def _least_step(
-    A: Float[np.ndarray, "n s nv"], error: Float[np.ndarray, "n s"], far: Float[np.ndarray, " n"]
+    A: Float[np.ndarray, "n s nv"], error: Float[np.ndarray, "n s"], error_size: Float[np.ndarray, " n"]
 ) -> Postures:
     """Return A^T (A A^T + d^2)^-1 e, with d in proportion to the error, shortened to 0.5 rad or m of any joint."""
     largest, damping = 0.5, 0.1  # [rad or m] where a linearisation is valid; per unit of error (Levenberg)
     gram = A @ A.transpose(0, 2, 1)
-    gram += ((damping * np.minimum(far, 1.0)) ** 2 + 1e-12)[:, None, None] * np.eye(A.shape[1])
+    gram += ((damping * np.minimum(error_size, 1.0)) ** 2 + 1e-12)[:, None, None] * np.eye(A.shape[1])
     step = np.einsum("nsj,ns->nj", A, np.linalg.solve(gram, error[:, :, None])[:, :, 0])
     size = np.max(np.abs(step), axis=1, keepdims=True)
     return step * np.minimum(1.0, largest / np.maximum(size, largest))
@@ -333,7 +333,7 @@ def path_margins(stations: Stations, q: Postures) -> Margins:
     ways = (abs(float(stations.distance[x])) for x in (weak, tight))
     at_weakest, at_tight = (f"{x:.2f} m" if stations.unit == "m" else f"{np.degrees(x):.0f} degrees" for x in ways)
     words = (
-        f"the weakest direction has {values[0] / max(1.0 - values[0], 1e-300):.2g} times the speed that the way needs, "
+        f"the weakest direction has {values[0] / max(1.0 - values[0], 1e-300):.2g} times the required speed, "
         f"{at_weakest} along (least singular value {least:.2g})",
         f"joint {names[int(joint)]!r} has {values[1]:.0%} of half its range left, {at_tight} along",
         f"joint {names[int(np.argmax(fastest))]!r} has {values[2]:.0%} of its speed left",

@@ -83,7 +83,7 @@ def demonstrated_grasps(takes: Sequence[Take], shown: Shown, features: Any) -> l
         return grasps
     by_place, begin = replace(shown, mechanism=mechanism.by_place()), shown.chart.grasp
     ahead = np.array([by_place.along(np.array([begin, grasp]))[1, 0] for grasp in grasps])
-    return [mechanism.at(grasp, np.inf).pose([-far]) for grasp, far in zip(grasps, ahead, strict=True)]
+    return [mechanism.at(grasp, np.inf).pose([-distance]) for grasp, distance in zip(grasps, ahead, strict=True)]
 
 
 def nearest_turn(robot: Robot, q: Float[np.ndarray, "n nv"], near: Float[np.ndarray, " nv"]) -> np.ndarray:
@@ -167,8 +167,8 @@ def _attempts(
         return
     takes = [take for take in takes if _begins_in_contact(take, shown, features)] or takes
     both = list(zip(takes, demonstrated_grasps(takes, shown, features), strict=True))
-    far = [np.max(np.abs(nearest_turn(robot, take.along[:1], positions) - positions)) for take in takes]
-    for k in np.argsort(far, kind="stable").tolist():
+    distances = [np.max(np.abs(nearest_turn(robot, take.along[:1], positions) - positions)) for take in takes]
+    for k in np.argsort(distances, kind="stable").tolist():
         take, grasp = both[k]
         variant = motion.taking_hold(grasp)
         at, q = Stations.of(variant, start, stations.limits), np.where(stations.moving, take.along, positions)
@@ -233,8 +233,8 @@ def join_approach(path: Postures, start: Float[np.ndarray, " nv"], end: Float[np
     blend, n_knots, least = 0.6, 24, 0.05  # share of the approach; [rad or m] of a joint, unless it was cut
     if len(path) < 3 or np.max(np.abs(path - path[-1])) < least:
         return None
-    far = np.linalg.norm(path[: max(1, 3 * len(path) // 4)] - start, axis=1)  # its last quarter is always used
-    some = path[int(np.argmin(far)) :]
+    distances = np.linalg.norm(path[: max(1, 3 * len(path) // 4)] - start, axis=1)  # its last quarter is always used
+    some = path[int(np.argmin(distances)) :]
     at = np.linspace(0.0, 1.0, n_knots)
     knots = np.column_stack([np.interp(at, np.linspace(0.0, 1.0, len(some)), x) for x in some.T])
     x = np.minimum(at / blend, 1.0)
@@ -291,7 +291,7 @@ class PathCandidates:
         """Number of the last station that a march reaches from the first; -1 if no posture reaches the first."""
         return int(np.isfinite(self.along).any(axis=0).sum()) - 1
 
-    def stand(self, some: Int[np.ndarray, " k"]) -> Bool[np.ndarray, " k"]:
+    def begin_at_start(self, some: Int[np.ndarray, " k"]) -> Bool[np.ndarray, " k"]:
         """Return True for marches whose grasp configuration is the start.
 
         Args:
@@ -314,8 +314,8 @@ class PathCandidates:
         margins = self.along[:, last]
         some = np.flatnonzero(np.isfinite(margins))
         behind = np.floor((margins[some].max(initial=-np.inf) - margins[some]) / tie)
-        stand, log_mu = self.stand(some), self.log_mu[some, : last + 1].mean(axis=1)
-        otherwise = ~(stand | self.stations.takes_hold_as_shown(self.q[some, 0]))
+        stand, log_mu = self.begin_at_start(some), self.log_mu[some, : last + 1].mean(axis=1)
+        otherwise = ~(stand | self.stations.grasps_as_shown(self.q[some, 0]))
         order = some[np.lexsort((-log_mu, ~stand, behind, otherwise))]
         out: list[int] = []
         for march in order.tolist():
