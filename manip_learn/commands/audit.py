@@ -48,7 +48,7 @@ def audit_answer(report: AuditReport, file: Path | None = None) -> Answer:
         report: The audit.
         file: Its table; None if it was not written.
     """
-    most = 20  # episodes on a terminal
+    most = 20  # number of episodes on a terminal
     n = len(report.episodes)
     threshold = f"robust z above {report.threshold:.1f}" if math.isfinite(report.threshold) else "too few to tell"
     return Answer(

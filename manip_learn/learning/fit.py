@@ -114,7 +114,8 @@ class Motion:
             stretches: Parts of recordings.
             settings: Settings of the fit: the prior of the arm's errors, and the choice of velocities or positions.
         """
-        most_samples, least_samples = 4000, 60  # of all stretches, and of each stretch
+        # number of samples of all stretches together, and least number of each stretch
+        most_samples, least_samples = 4000, 60
         table, hand, most = view.table, view.hand, max(least_samples, most_samples // len(stretches))
         numbers = [table.samples(s) for s in stretches]
         selected = [k[evenly(len(k), most)] for k in numbers]
@@ -200,7 +201,7 @@ class RowFit:
     """
 
     def __init__(self, motion: Motion, rows: np.ndarray):
-        floor = 0.05  # share of the mean variance added to that of each sample
+        floor = 0.05  # share of the mean variance that is added to the variance of each sample
         self.motion, self.view, self.rows, self.perp = motion, motion.view, rows, null_basis(rows).T
         self.m, self._A = len(rows) * len(self.perp), rows @ motion.Phi
         S = self._A @ self._A.transpose(0, 2, 1)
@@ -476,7 +477,8 @@ def draw_errors(fit: RowFit, arm: ArmErrors, rng: np.random.Generator) -> Errors
     Returns:
         Draws; None with a single recording, or if only one row space is possible.
     """
-    n_draws, odds = 1000, 20.0  # the 68 % quantile is accurate to 3 %; odds of no offset beyond the prior
+    # number of draws: the 68 % quantile is accurate to 3 %; odds that joint offsets do not exceed their prior
+    n_draws, odds = 1000, 20.0
     m, n = fit.m, len(set(fit.motion.recs))
     if not m or n < 2:
         return None

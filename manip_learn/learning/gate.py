@@ -33,7 +33,7 @@ class RowSupport(NamedTuple):
     """Evidence that one row is constrained, from the recombination test.
 
     Attributes:
-        strength: How many times more motion the row would show if the joints moved independently.
+        strength: Motion of the row if the joints moved independently, over the recorded one.
         p_value: Probability of so little motion along it if the joints moved independently.
         state: `"held"`, `"free"` or `"untried"`.
     """
@@ -158,9 +158,12 @@ def recombination_test(
         choices: Number of hypotheses among which this one was selected (Bonferroni).
         believed: Smallest accepted lower bound of a strength.
     """
-    floor, sure = 1e-5, NormalDist().inv_cdf(0.995)  # smaller levels may be interpolation errors
-    n_first, n_last = 199, 3184  # recombinations at first, and at most, until decided
-    max_bins, bin_seconds, max_pieces = 24, 0.25, 16  # bins of phase, duration of one [s], pieces. Set by hand
+    # smaller levels may be interpolation errors; normal quantile of a decision between more and no more recombinations
+    floor, sure = 1e-5, NormalDist().inv_cdf(0.995)
+    # number of recombinations at first, and largest number if the result is not decided
+    n_first, n_last = 199, 3184
+    # largest number of phase bins, duration of a bin [s], and largest number of pieces. Set by hand
+    max_bins, bin_seconds, max_pieces = 24, 0.25, 16
     rng, none = np.random.default_rng(seed), np.zeros(0)
     pieces = [t for t in pieces if len(t) > 2 and np.any(t.u)]
     if len(pieces) > max_pieces:

@@ -362,7 +362,9 @@ def search(d: Data, rng: np.random.Generator) -> list[PolicyFit]:
     Returns:
         Best fit of each number of rows.
     """
-    own_starts, random_starts, subspaces = 100, 3, 10  # separate rest postures make the cost bumpy
+    # random starts if each recording has its own rest posture, which makes the cost bumpy; random starts otherwise;
+    # random subspaces of the best rows
+    own_starts, random_starts, subspaces = 100, 3, 10
     (_, r, nv), fits = d.Phi.shape, dict[int, PolicyFit]()
 
     def look(starts: Iterable[np.ndarray]) -> None:
@@ -485,7 +487,8 @@ def is_one_path(table: Table) -> bool:
     Args:
         table: Samples.
     """
-    same = 0.15  # RMS distance from a path over its standard deviation, within which a motion repeats it
+    # largest RMS distance from a path that counts as a repetition, over the standard deviation of the motion
+    same = 0.15
     paths: list[cKDTree] = []
     for t in table.moved:
         few, most = t.q[:: max(1, len(t) // 100)], same * float(np.linalg.norm(np.std(t.q, axis=0)))
@@ -496,15 +499,17 @@ def is_one_path(table: Table) -> bool:
 
 def _subsample(table: Table, most: int, offsets: bool = False) -> np.ndarray:
     """Return evenly spaced samples with at most `most` velocities; with offsets of recordings, of few recordings."""
-    most_recordings = 16  # with offsets of their own
+    most_recordings = 16  # largest number of recordings in the search if each has an offset of its own
     few = np.flatnonzero(table.recording < (most_recordings if offsets else np.inf))
     return few[:: -(-len(few) * table.u.shape[1] // (most // (3 if offsets else 1)))]
 
 
 def _joint(v: View, settings: Settings) -> Imposed | NotIdentifiableError:
     """Return the most likely Lambda on all samples, with the number of rows that is likeliest on few samples."""
-    exact = ("affine", "harmonic1", "quadratic", "harmonic2", "cubic", "quartic", "quintic")  # fewest first
-    max_columns, n_compared = 400, 4500  # parameters (a step takes their cube); samples in the search
+    # models for motion without noise, with the fewest parameters first
+    exact = ("affine", "harmonic1", "quadratic", "harmonic2", "cubic", "quartic", "quintic")
+    # largest number of parameters of the policy: the time of a step grows with their cube; velocities in the search
+    max_columns, n_compared = 400, 4500
     table, model, seed, nv = v.table, settings.policy_model, settings.seed, v.table.u.shape[1]
     has_offsets, auto, names = model == "affine-offset", model == "auto", list(MODELS[model])
     few, rng = _subsample(table, n_compared, has_offsets), np.random.default_rng(seed)
@@ -590,8 +595,9 @@ def separate_null_motion(view: View, seed: int) -> np.ndarray | NotIdentifiableE
     Returns:
         Array (n, nv); or a refusal.
     """
-    stages = ((1e-6, 1e-3), (1e-8, 1e-3), (1e-10, 1e-9))  # least share of singular values; final gain
-    fewest = 4  # radial functions
+    # least singular value of the regressors, relative to the largest; relative gain at which a stage ends
+    stages = ((1e-6, 1e-3), (1e-8, 1e-3), (1e-10, 1e-9))
+    fewest = 4  # least number of radial functions
     u, n = view.table.u, min(MOST_CENTRES, len(view.table.q) // SAMPLES_PER_CENTRE)
     if n < fewest:
         why = f"{len(u)} samples are too few to separate task and null-space part: "

@@ -77,7 +77,8 @@ class Placement:
     @property
     def doubt(self) -> str:
         """Warning about a poorly known place; empty for others."""
-        largest = 1.0  # [deg] error of the direction, or of the place as seen from the hand, without a warning
+        # [deg] largest error of the direction, or of the place as seen from the hand, without a warning
+        largest = 1.0
         m = self.mechanism
         if m.radius is None or m.arc is None:
             return ""
@@ -120,7 +121,7 @@ def locate(fit: RowFit, errors: Errors | None) -> Placement | None:
         fit: Fit of the rows.
         errors: Draws of their errors; None for no uncertainty.
     """
-    n_draws = 200  # draws of the error for which the place is evaluated
+    n_draws = 200  # number of draws of the error for which the place is evaluated
     if (best := kind_of(fit)) is None:
         return None
     kind, place, p = best[0], best[1].as_told(), fit.motion.poses[:, :3, 3]
@@ -310,7 +311,8 @@ def _residual(kind: MechanismKind, place: Place, p: Places, parts: list[slice]) 
 
 def _curve(p: Places, parts: list[slice]) -> tuple[Curve, Places] | None:
     """Return the curve through the positions, and their distances from the curve without their own recording [m]."""
-    numbers = (2, 4, 8, 16, 32)  # of pieces of a spline: the one that predicts other recordings best wins
+    # candidate numbers of pieces of a spline; the one that predicts the other recordings best wins
+    numbers = (2, 4, 8, 16, 32)
     best: tuple[Curve, np.ndarray] | None = None
     with suppress(FeatureError, ValueError):  # too many pieces for the samples, or a hand at rest
         longest = p[max(parts, key=lambda part: float(np.ptp(p[part], axis=0).sum()))]
@@ -359,6 +361,9 @@ def fit_whole(
         spans: Stretches in which they are constrained.
         settings: Settings of the fit.
         gate: Test of the evidence.
+
+    Returns:
+        Fit of the rows of the whole twist, or None.
     """
     best, largest, apart = None, (False, WEAK_GAP), independent_rotation(place.motion)
     J, few, has_name = place.motion.J, evenly(len(place.motion.x), 50), kind_of(place) is not None

@@ -59,6 +59,9 @@ class IndependentRecordings(NamedTuple):
 
         Args:
             recordings: All recordings.
+
+        Returns:
+            Independent recordings, with the originals and warnings.
         """
         if len({t.q.shape[1] for t in recordings}) > 1:  # refused where the samples are collected
             return IndependentRecordings(recordings, tuple(((i, 0.0),) for i in range(len(recordings))), recordings)

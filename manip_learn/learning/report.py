@@ -97,7 +97,7 @@ class RecordingOverview(NamedTuple):
 
 def _spans(phases: Sequence[_Phase]) -> str:
     """Return the first phases in words, and the number of the others."""
-    most = 6  # stretches in words
+    most = 6  # number of stretches named in words
     return few([f"from {p.start:.2f} s to {p.end:.2f} s in {p.trajectory}" for p in phases], most)
 
 
@@ -141,7 +141,7 @@ class LearningReport:
             recordings; `"joint zeros"`, by constant errors of the arm (null-space estimator); `"policy"`, by the part
             of the policy that the data do not determine (joint estimator). None where a part does not apply.
         mu_uncertainty: In 68 % of cases, at the demonstrated configurations, the manipulability of the true constraint
-            is within this share of that of the learnt one; None with a single trajectory.
+            differs from the learnt one by no more than this share; None with a single trajectory.
     """
 
     sentence: str
@@ -334,8 +334,10 @@ def make_reports(result: Answers, context: Context) -> list[Learnt]:
 
 
 def _report(answer: Answer, overview: RecordingOverview, context: Context, origin: dict[str, Any]) -> Learnt:
-    most_postures = 144  # in a constraint's file: a drawer's place and reach to 1 or 2 cm, in 10 kB
-    enough, most_notes = 5, 20  # recordings without a warning: five hardly agree by chance; lines
+    # postures in a constraint's file: they show the place and the reach of a drawer to 1 or 2 cm, in 10 kB
+    most_postures = 144
+    # number of recordings without a warning: five hardly agree by chance; largest number of notes, one screen
+    enough, most_notes = 5, 20
     table, features, selection = context.table, answer.asked.features, answer.asked.selection
     recorded = context.recordings.demonstrations
     warnings, notes = list(answer.warnings), list(dict.fromkeys(map(printable, recorded.notes)))

@@ -186,7 +186,8 @@ def distinct_rows(rows: np.ndarray, most: int | None = None) -> list[int]:
 
 
 def propose_rows(m: Samples, states: np.ndarray, largest: int, whole: bool) -> list[np.ndarray]:
-    """Propose rows: those least used in windows of free motion, and in recordings, pairs and all samples of each state.
+    """Return candidate rows: the least used rows in windows of free motion, and in recordings, pairs and all samples of
+    each state.
 
     Args:
         m: n samples.
@@ -197,7 +198,8 @@ def propose_rows(m: Samples, states: np.ndarray, largest: int, whole: bool) -> l
     Returns:
         Candidates for each number of rows s from 1 on, an array (h, s, r) each.
     """
-    max_windows = 40  # proposals of windows, and of pairs of them, for each number of rows
+    # largest number of proposals from windows, and from pairs of them, for each number of rows
+    max_windows = 40
     n, r = m.rates.shape
     squares = (m.rates[:, :, None] * m.rates[:, None]).reshape(n, -1)
     products = np.column_stack([squares, m.gram.reshape(n, -1), m.noise, m.moving, np.ones(n)])
@@ -300,7 +302,11 @@ class Explanation:
         return fit_hypotheses(self.views, [start], own_samples[:, None], baseline, self.switch)[0]
 
     def refit_all(self) -> Explanation:
-        """Fit each hypothesis to the samples that it explains, and repeat while the total evidence grows."""
+        """Fit each hypothesis to the samples that it explains, and repeat while the total evidence grows.
+
+        Returns:
+            Last explanation that increased the evidence.
+        """
         best = self
         for _ in range(TURNS):
             refitted = [best.refit(k, h) for k, h in enumerate(best.hypotheses)]
@@ -360,7 +366,7 @@ def score_hypotheses(
     Returns:
         Array (g, h, k) for g recordings [nats].
     """
-    max_numbers = 1_000_000  # numbers in memory together
+    max_numbers = 1_000_000  # largest number of values in memory together
     n, first = len(baseline), views[0].thin.first
     out = [np.zeros((len(first) - 1, 0, len(scales)))]
     at_once = max(1, max_numbers // (n * len(scales)))
@@ -409,7 +415,7 @@ def candidates(now: Explanation, allowed: Sequence[int]) -> list[Hypothesis]:
         now: Explanation to extend.
         allowed: Numbers of the views to search.
     """
-    most = 4  # candidates for each view and number of rows
+    most = 4  # largest number of candidates for each view and number of rows
     views, baseline, switch, best = now.views, now.explained, now.switch, list[Hypothesis]()
     maps = [v.features for v in views]
     whole = [f.frame for f in maps if isinstance(f, PlaceRows) and f.form == "point and rotation"]
@@ -454,7 +460,8 @@ def add_hypotheses(now: Explanation, believed: Test, refused: list[Hypothesis], 
     Returns:
         Explanation with the accepted hypotheses.
     """
-    max_constraints, max_tests = 6, 6  # hypotheses in total, and tests by the gate for one
+    # largest number of hypotheses, and of tests by the gate for each addition
+    max_constraints, max_tests = 6, 6
     views, seconds = now.views, now.views[0].table.seconds
 
     def similar(a: Hypothesis, b: Hypothesis) -> bool:
@@ -496,7 +503,8 @@ def explain(views: Sequence[View], believed: Test, switch: float, first: int = 0
     Returns:
         Explanation of the recordings.
     """
-    least_share = 0.2  # of the motion: if the position explains less, the whole twist is searched
+    # share of the motion: if the position of the hand explains less, the whole twist is searched
+    least_share = 0.2
     refused = list[Hypothesis]()
     now = add_hypotheses(Explanation(views, (), switch), believed, refused, range(first))
     moving = now.states[views[0].thin.moving]

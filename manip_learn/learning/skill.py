@@ -79,11 +79,13 @@ def build_skill(constraints: Sequence[Constraint], result: Answers, table: Table
 
 
 def _grip_motion(features: FeatureMap, table: Table, demos: dict[int, list[_Contact]], k: int) -> list[dict[str, Any]]:
-    """Return the arguments of `Step` that close a gripper as contact begins, and those that open it again.
+    """Return the arguments of `Step` that close a gripper as contact begins, and the arguments that open it again.
 
     Both are empty unless in most recordings joints that do not move the hand move or press as contact begins.
     """
-    least_move, least_rise = 0.1, 0.5  # share of a finger's range, and of its largest effort
+    # smallest motion of a finger in a grasp, as a share of its range; smallest rise of its effort, as a share of its
+    # largest
+    least_move, least_rise = 0.1, 0.5
     robot, frame = getattr(features, "robot", None), getattr(features, "frame", None)
     if robot is None or frame is None or robot.nq != robot.nv:
         return [{}, {}]

@@ -74,7 +74,7 @@ class ArmErrors:
 
     Attributes:
         zeros: Standard deviation of each joint offset [rad, m for sliding joints]. With 0, errors that no residual
-            shows are taken for zero, also those of links.
+            shows are taken for zero, also link errors.
         links: Standard deviation of the position [m] and orientation [rad], along each axis, of each joint after the
             first in the frame of the previous link, and of the frame in the frame of the last link.
     """
@@ -724,7 +724,7 @@ def map_parts(work: Callable[..., Any], parts: list[Reader], client: Any, progre
 
 
 def dask_client(address: str | None, n_workers: int | None = None) -> AbstractContextManager[Any]:
-    """Connect to a scheduler, or start a cluster that is only reachable from this machine.
+    """Open a connection to a scheduler, or start a cluster that is only reachable from this machine.
 
     Args:
         address: `"local"`, or the address of a scheduler, e.g. `"tcp://10.0.0.1:8786"`; None for no client.

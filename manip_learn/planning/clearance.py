@@ -219,7 +219,8 @@ class Clearance:
         Returns:
             Data of each obstacle for JSON, with the distance [m] and the name of the nearest link within 0.3 m.
         """
-        near_distance, max_triangles = 0.3, 10_000  # [m] reported; in all: 0.3 MB of text
+        # [m] largest reported distance; triangles of all obstacles in a rollout, 0.3 MB of text
+        near_distance, max_triangles = 0.3, 10_000
         near = [pair for q in path for pair in self._pairs(q, near_distance)]
         nearest = {pair.links[1]: pair for pair in sorted(near, key=lambda pair: -pair.distance)}
         out, around = list[dict[str, Any]](), self.around

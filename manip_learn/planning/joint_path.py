@@ -54,7 +54,9 @@ def joint_path(
     Raises:
         MissingExtraError: The straight motion is not clear, and RoboPlan is not installed.
     """
-    n_searches, inflations = 3, (1.0, 0.4, 2.0)  # in each copy; times the clearance
+    # searches in each copy; inflation of the links in each copy, in clearances: less if the start or the goal has no
+    # more, more if paths come too near
+    n_searches, inflations = 3, (1.0, 0.4, 2.0)
     if not (clear(start) and clear(goal)):
         return None
     if clear.is_line_clear(start, goal):
@@ -84,8 +86,12 @@ def _plan_in_copy(
     limits: Limits, clear: Clearance, grown: float, free: Joints, ends: tuple[Posture, Posture], seed: int
 ) -> Float[np.ndarray, "k nv"]:
     """Return RoboPlan's path in a copy with inflated links; empty if start or goal are in contact in it."""
-    reach, resolution = 1.0, 0.05  # [rad or m] growth of a tree, distance of checks; all joints together
-    max_nodes, max_seconds = 300, 2.0  # of both trees, a path around a box takes 150; if the start is shut in
+    # [rad or m] growth of a tree in one step, and distance between RoboPlan's checks, all joints together; our own
+    # checks of the result are denser
+    reach, resolution = 1.0, 0.05
+    # nodes of both trees: a path around a box takes 150 at most; duration of a search that adds no nodes, e.g. if the
+    # start is shut in [s]
+    max_nodes, max_seconds = 300, 2.0
     try:
         with warnings.catch_warnings():  # its viewer raises a deprecation warning
             warnings.simplefilter("ignore", DeprecationWarning)
@@ -112,7 +118,7 @@ def _plan_in_copy(
 @lru_cache(maxsize=8)  # of a few megabytes each
 def _copy_scene(links: SelfCollision, pairs: tuple[tuple[int, int], ...], limits: Limits, larger: float) -> Any:
     """Return a copy of our scene for RoboPlan, with links inflated by a distance [m]."""
-    tolerance = 1e-9  # [rad or m] beyond limits: start and goal may be at a limit
+    tolerance = 1e-9  # [rad or m] margin of the limits in the copy: the start and the goal may be at a limit
     core = import_module("roboplan.core")
     sizes, together = dict[str, tuple[CollisionShape, float]](), list[tuple[str, str]]()
     for k, other in pairs:

@@ -176,7 +176,7 @@ def plan(
         >>> bool(plan.outcome.is_done), plan.way.q.shape[1]
         (True, 7)
     """
-    fewest = 8  # two at each of three stations, and two to spare
+    fewest = 8  # two candidates at each of three stations, and two to spare
     if candidates < fewest:
         raise ConfigurationError(f"a plan needs {fewest} candidates or more, got {candidates!r}")
     report = progress or (lambda _title, _share: None)
@@ -219,7 +219,7 @@ def approach(
     Raises:
         MissingExtraError: The straight motion is not clear, and RoboPlan is not installed.
     """
-    speed_share = 0.25  # of the velocity limits: people may be near, as in ISO 10218-1
+    speed_share = 0.25  # share of the velocity limits: people may be near, as in ISO 10218-1
     robot = limits.robot
 
     def through(how: str, knots: ArrayLike, smooth: bool) -> Approach | None:
@@ -369,7 +369,7 @@ class _Problem:
 
         Args:
             candidates: Number of seeds.
-            stations: Other stations; None for those of the motion.
+            stations: Other stations; None for the stations of the motion.
         """
         return ways.propagate_candidates(stations or self.stations, self.positions, candidates, self.rng)
 
@@ -397,11 +397,15 @@ class _Problem:
             candidates: Number of seeds.
             report: Function of the name of a stage and its completed share.
 
+        Returns:
+            Plan, with a note if the orientation of its grasp was not demonstrated.
+
         Raises:
             NoPlanError: The motion is infeasible from every configuration that was tried.
             MissingExtraError: A straight approach is not clear, and RoboPlan is not installed.
         """
-        factor, n_simulated = 4, 8  # times the seeds in the second search; best margin first
+        # factor of the number of seeds in the second search; number of simulated choices, the best margin first
+        factor, n_simulated = 4, 8
         for share, number in enumerate((candidates, factor * candidates)):
             report("comparing postures", 0.1 + 0.4 * share)
             marches = self.marches(number)
@@ -425,7 +429,8 @@ class _Problem:
         self, marches: ways.PathCandidates, choices: Int[np.ndarray, " k"], clear: Clearance
     ) -> Iterator[ways.Candidate]:
         """Yield clear marches; relaxed if the result is also clear and grasps with the same orientation."""
-        most_failures = 3  # of searches for an approach, half a second each: then only straight ones
+        # after this many failed searches for an approach, half a second each, only straight ones are tried
+        most_failures = 3
         as_shown = self.stations.grasps_as_shown
         for march, stands in zip(choices.tolist(), marches.begin_at_start(choices).tolist(), strict=True):
             path = marches.q[march]
@@ -440,7 +445,8 @@ class _Problem:
 
     def _tried(self, one: ways.Candidate, clear: Clearance, compared: int) -> Plan | None:
         """Simulate a candidate with clear postures; return None if it has no approach or does not complete."""
-        spare, n_checked = 1.1, 60  # times the shortest duration, for feedback; postures for `around`
+        # factor of the shortest duration, so that feedback has some speed to spare; postures checked for `around`
+        spare, n_checked = 1.1, 60
         motion, stations, take, notes = one.motion, one.stations, one.take, self.notes
         path, turned = one.path, ways.nearest_turn(self.robot, one.path, self.positions)
         if path_margins(stations, turned).margin >= min(ways.ENOUGH, one.margins.margin):
@@ -506,7 +512,8 @@ class _Problem:
             marches: All marches that were compared.
             candidates: Number of seeds.
         """
-        share = 0.95  # of the way to the last reachable station, which a plan can reach
+        # share of the motion to the last station with a clear posture that a plan for no more can reach
+        share = 0.95
         holding = self.clear.for_grasps(marches.q[np.isfinite(marches.least[:, 0]), 0])
         clear = marches.where(holding)
         end, last, largest, posture = len(self.stations) - 1, clear.reached, 0.0, None

@@ -217,7 +217,9 @@ def _limit_tip_speed(limits: Limits, tip_speed: TipSpeed, skill: Skill, q: Float
     Raises:
         ConfigurationError: A speed that is not positive, or another word.
     """
-    spare, slowest = 1.05, 0.05  # times the demonstrated speed, for `Barriers.pace`; [m/s] always allowed
+    # factor of the demonstrated speed, for the reserve of `Barriers.pace`; tip speed that is always allowed, however
+    # slow the demonstration [m/s]
+    spare, slowest = 1.05, 0.05
     if tip_speed is None:
         return limits
     speed = np.inf if tip_speed == "shown" else tip_speed
@@ -291,7 +293,7 @@ class _SkillRun:
         self.add(law, replace(rollout, phases=phases, manipulability=np.full(len(rollout), mu)))
 
     def way(self, step: Step, name: str, report: Progress) -> None:
-        """Grasp and move along the learnt constraint, as demonstrated in this step.
+        """Perform one motion along the learnt constraint, with its approach and grasp, as demonstrated in this step.
 
         Args:
             step: Step with the constraint and its recordings.

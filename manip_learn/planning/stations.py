@@ -83,7 +83,9 @@ class Stations:
         Raises:
             FeatureError: The rows do not belong to a frame.
         """
-        period, fewest, most = 0.1, 16, 64  # [s]: 1 cm at 0.1 m/s, where a joint path bends by less than 1 mm
+        # time between stations [s]: at 0.1 m/s a centimetre, on which a joint path bends by less than a millimetre;
+        # number of stations of a short motion, and of a long one, whose stations are further apart
+        period, fewest, most = 0.1, 16, 64
         features: Any = motion.constraint.features
         if (hand := features.twist) is None:
             raise FeatureError(f"a plan needs the rows of a frame, not {features!r}")
@@ -114,7 +116,8 @@ class Stations:
     @cached_property
     def needs(self) -> Float[np.ndarray, "L s"]:
         """Largest speed along each row of a hand that moves, or turns, as fast as in the motion [m/s or rad/s]."""
-        lever = 0.2  # [m] hand to object: 0.1 m/s count as 0.5 rad/s (`tasks.motion`)
+        # [m] distance from the hand to the object: a motion of 0.1 m/s counts as one of 0.5 rad/s (`tasks.motion`)
+        lever = 0.2
         angles = Rotation.from_matrix(self.turns[1:] @ self.turns[:-1].transpose(0, 2, 1)).magnitude()
         speed, rate = self.tip_speed, float(np.max(angles / np.diff(self.time)))
         linear, angular = max(speed, lever * rate), max(rate, speed / lever)
@@ -167,7 +170,7 @@ class Stations:
             steps: Largest number of Newton steps.
 
         Returns:
-            The postures, and a mask (n,) of those that are at their station.
+            The postures, and a mask (n,) of the postures that are at their station.
         """
         turns = self.turns[station] @ self.grasp if self.holds_orientation else None
         return solve_ik(self.hand, self.limits.robot, q, self.places[station], turns, self.rows[station], steps)
@@ -195,7 +198,7 @@ def solve_ik(
         steps: Largest number of Newton steps.
 
     Returns:
-        The postures, and a mask (n,) of those that are at their pose.
+        The postures, and a mask (n,) of the postures that are at their pose.
     """
     tolerance = 2e-5  # [m or rad] a tenth of the 0.2 mm that count as at the mechanism
     low, high = robot.position_lower, robot.position_upper
@@ -224,7 +227,9 @@ def _least_step(
     A: Float[np.ndarray, "n s nv"], error: Float[np.ndarray, "n s"], error_size: Float[np.ndarray, " n"]
 ) -> Postures:
     """Return A^T (A A^T + d^2)^-1 e, with d in proportion to the error, shortened to 0.5 rad or m of any joint."""
-    largest, damping = 0.5, 0.1  # [rad or m] where a linearisation is valid; per unit of error (Levenberg)
+    # [rad or m] largest step of a joint, for which a linearisation is valid; damping per unit of error: a far target is
+    # approached, a near one reached (Levenberg)
+    largest, damping = 0.5, 0.1
     gram = A @ A.transpose(0, 2, 1)
     gram += ((damping * np.minimum(error_size, 1.0)) ** 2 + 1e-12)[:, None, None] * np.eye(A.shape[1])
     step = np.einsum("nsj,ns->nj", A, np.linalg.solve(gram, error[:, :, None])[:, :, 0])
@@ -267,7 +272,7 @@ def node_margins(
         Margin of the weakest direction, margin of the joint nearest to a limit, and log of the manipulability of the
         held and driven rows, each (n,).
     """
-    least_log = -50.0  # of mu at a singularity: e^-50 is far below rounding errors
+    least_log = -50.0  # smallest log of mu, at a singularity: e^-50 is far below rounding errors
     A = stations.matrices(q, station)
     weighted = A * stations.limits.velocity / stations.needs[station][:, :, None]
     squares = np.linalg.eigvalsh(weighted @ weighted.transpose(0, 2, 1))[:, 0]

@@ -1,6 +1,6 @@
 """Joint paths through the stations of a hand's motion: from recordings, and from a search.
 
-A demonstrated grasp, configuration and approach are feasible, and people know what they look like. Recordings whose
+A demonstrated grasp, configuration and approach are feasible, and familiar to people. Recordings whose
 grasp is nearest to the start come first; the first with enough margin is followed, else the one with the largest. The
 search finds larger margins:
 
@@ -115,7 +115,7 @@ def carry_hand(features: Any, q: Postures, moved: Float[np.ndarray, "4 4"]) -> P
     Returns:
         Postures (n, nv).
     """
-    n_parts = 4  # of the rigid motion, each within the convergence of Newton's method
+    n_parts = 4  # parts of the rigid motion, each within the convergence of Newton's method
     robot, turn = features.robot, rotation_vector(moved[:3, :3])
     poses, rows = features.twist.poses(q), np.repeat(np.eye(6)[None], len(q), axis=0)
     for part in np.arange(1, n_parts + 1) / n_parts:
@@ -178,7 +178,7 @@ def _attempts(
 
 def _begins_in_contact(take: Take, shown: Shown, features: Any) -> bool:
     """Return True if the hand was on the mechanism at the beginning of the contact, judged by its later motion."""
-    tolerance = 5e-3  # [m] of the place where contacts begin
+    tolerance = 5e-3  # [m] distance from the mechanism at which the hand is in contact
     poses = take.moved @ features.twist.poses(take.along)
     chart = shown.mechanism.at(poses[len(poses) // 2], np.inf)
     expected = chart.pose(chart.coordinates(poses[0]))
@@ -187,7 +187,8 @@ def _begins_in_contact(take: Take, shown: Shown, features: Any) -> bool:
 
 def _from_take(shown: Shown, at: Stations, take: Take, q: Postures, features: Any) -> Way | None:
     """Return the recorded joint path, smoothed along the way and brought onto its stations."""
-    grasp_weight, most = 20.0, 5  # of the grasp configuration in the fit, to keep it; degree of the polynomials
+    # weight of the grasp configuration in the fit, which keeps it; degree of the polynomials that smooth a joint path
+    grasp_weight, most = 20.0, 5
     poses, times = take.moved @ features.twist.poses(q), take.time[(take.time >= 0.0) & (take.time <= take.end)]
     if shown.is_way:
         ways = np.abs(shown.along(poses)[:, 0])
@@ -230,7 +231,9 @@ def join_approach(path: Postures, start: Float[np.ndarray, " nv"], end: Float[np
         Knots from the start to the end, from where the recording is nearest to the start; None if the recording moves
         too little to be an approach.
     """
-    blend, n_knots, least = 0.6, 24, 0.05  # share of the approach; [rad or m] of a joint, unless it was cut
+    # share of the approach along which the differences fade; number of knots; smallest motion of a joint [rad or m] in
+    # an approach, since a cut recording has none
+    blend, n_knots, least = 0.6, 24, 0.05
     if len(path) < 3 or np.max(np.abs(path - path[-1])) < least:
         return None
     distances = np.linalg.norm(path[: max(1, 3 * len(path) // 4)] - start, axis=1)  # its last quarter is always used
@@ -310,7 +313,9 @@ class PathCandidates:
         Returns:
             Numbers (k,).
         """
-        apart, tie = 0.3, 0.01  # [rad or m] of different choices; equal margins: mu decides
+        # [rad or m] smallest difference of two choices, in one joint; margins that differ by less are equal, and the
+        # manipulability decides
+        apart, tie = 0.3, 0.01
         margins = self.along[:, last]
         some = np.flatnonzero(np.isfinite(margins))
         behind = np.floor((margins[some].max(initial=-np.inf) - margins[some]) / tie)
@@ -400,7 +405,7 @@ def distance_to_grasp(stations: Stations, start: Float[np.ndarray, " nv"], rng: 
 def march(
     stations: Stations, table: Float[np.ndarray, "P L nv"], some: Int[np.ndarray, " n"], k: int, sense: int
 ) -> None:
-    """Propagate some marches from station k to the end of the motion in one direction, as far as each of them comes.
+    """Advance some marches from station k to the end of the motion in one direction, as far as each of them comes.
 
     Args:
         stations: Stations of the motion.
@@ -418,7 +423,7 @@ def march(
 
 
 def relax(stations: Stations, q: Postures, *, pinned: bool = False) -> Postures:
-    """Relax a path to a larger smallest margin and a straighter joint motion.
+    """Return a path with a larger smallest margin and a straighter joint motion.
 
     Args:
         stations: Stations of the motion, or of its beginning.
@@ -428,8 +433,11 @@ def relax(stations: Stations, q: Postures, *, pinned: bool = False) -> Postures:
     Returns:
         Postures (k, nv) at the same stations.
     """
-    first_rise, least_rise = 0.05, 1e-3  # [rad or m] first and last step up the gradient, of one joint
-    most_steps, smoothing = 80, 0.25  # the first steps gain most; share of the way to the neighbours' mean
+    # [rad or m] first step up the gradient, of the joint that moves most, and step at which the relaxation ends
+    first_rise, least_rise = 0.05, 1e-3
+    # largest number of steps, of which the first gain most; share of a knot's distance to the mean of its neighbours,
+    # in one step
+    most_steps, smoothing = 80, 0.25
     k = np.arange(len(q))
     (value, slope, within), rise = soft_margin(stations, q), first_rise
     for _ in range(most_steps):
@@ -461,7 +469,7 @@ def soft_margin(stations: Stations, q: Postures) -> tuple[float, Postures, float
     Returns:
         Bound, its gradient (k, nv), and the smallest margin of the joint ranges and speeds.
     """
-    sharpness = 60.0  # of the soft minimum: margins a sixtieth apart count e-fold
+    sharpness = 60.0  # sharpness of the soft minimum: margins a sixtieth apart differ e-fold in weight
     limits = stations.limits
     low, high = limits.robot.position_lower, limits.robot.position_upper
     W, U = stations.rows[: len(q)], limits.velocity
