@@ -16,17 +16,17 @@ from manip_learn.constraint.features.frame_jacobian import PoseRows
 from manip_learn.constraint.features.mechanism_rows import CurveRows, PlaceRows
 from manip_learn.constraint.mechanism import ON_THE_AXIS, Grip, Mechanism
 from manip_learn.errors import NotIdentifiableError, RecordingError, advice, counted, named, number_if_known
-from manip_learn.learning.fit import STATED, Errors, Motion, RowFit, angles, draw_errors, group_fit, misfit, view_levels
+from manip_learn.learning.fit import LEVEL, Errors, Motion, RowFit, angles, draw_errors, group_fit, misfit, view_levels
 from manip_learn.learning.gate import FEWEST, Gate, is_firm, simultaneous_joints
 from manip_learn.learning.imposed import Imposed, learn_imposed
-from manip_learn.learning.place import KEPT, Placement, fit_shape, fit_whole, grip_kind, kind_of, locate, select_rows
+from manip_learn.learning.place import LOOSE, Placement, fit_shape, fit_whole, grip_kind, kind_of, locate, select_rows
 from manip_learn.learning.repeats import drop_duplicates
 from manip_learn.learning.search import SAME, Explanation, broken_energy, explain, lone_contacts
 from manip_learn.learning.table import (
     CLEAR_GAP,
-    FARTHEST,
     LEAST_GAIN,
     LEAST_MOTION,
+    MAX_RANGE,
     OVER_NOISE,
     REST_SPEED,
     SLIGHT,
@@ -513,7 +513,7 @@ def evaluate(part: _Part, gate: Gate, whole: Sequence[View], settings: Settings)
     last = firm or fit
     a.errors = draw_errors(last, settings.arm, np.random.default_rng(settings.seed))
     if a.errors is not None:
-        both = (np.quantile(angles(last.rows, last.view.W, B), STATED) for B in (a.errors.noise, a.errors.arm))
+        both = (np.quantile(angles(last.rows, last.view.W, B), LEVEL) for B in (a.errors.noise, a.errors.arm))
         noise, arm = (x if x > 1e-9 else 0.0 for x in np.degrees([*both]).tolist())
         a.uncertainty, a.uncertainty_deg = {"noise": noise, "joint zeros": arm}, float(np.linalg.norm([noise, arm]))
         a.mu_uncertainty = mu_error(last.view, last, a.errors, inside)
@@ -587,7 +587,7 @@ def _warnings(a: Answer, settings: Settings) -> list[str]:
         span = float(np.linalg.norm(np.ptp(fit.motion.poses[:, :3, 3], axis=0)))
         # three standard deviations of the curvature of a parabola through evenly spaced samples
         bend = np.sqrt(fit.dof / fit.inflation) * span**2 / (3.0 * np.sqrt(720.0) * max(rms, 1e-12))
-        if bend < FARTHEST:
+        if bend < MAX_RANGE:
             out.append(f"move it further than {1e3 * span:.2g} mm: a hinge at {bend:.2g} m or more would fit as well")
     if a.view.curved and kind_of(fit) is None:
         out.append("the mechanism is a curved surface of no simple kind: its rows are valid only where demonstrated")
@@ -609,7 +609,7 @@ def complete_answer(a: Answer, settings: Settings) -> Answer:
     if place is not None:
         a.warnings += [place.doubt] if place.doubt else []
         kind, rms, apart = grip_kind(place, fit.motion)
-        is_kept = rms < min(KEPT, apart / WEAK_GAP)
+        is_kept = rms < min(LOOSE, apart / WEAK_GAP)
         grip: Grip = "firm" if kind.orientation != "free" else "kept" if is_kept else "loose"
         gripped = replace(place.mechanism, grip=grip, orientation_rms=rms)
         a.mechanism = replace(gripped, orientation=kind.orientation, name=kind.name)
@@ -680,7 +680,7 @@ def mu_error(view: View, fit: Any, errors: Errors, inside: np.ndarray) -> float:
     change = (errors.noise + errors.arm) @ by_rows.reshape(len(few), -1).T
     turned = view.features.batch_with_derivative(view.table.q[few])[1]
     by_zeros = np.einsum("nvp,npve->en", back @ Lambda, turned)
-    return float(np.quantile(np.abs(change + errors.delta[:, : len(by_zeros)] @ by_zeros), STATED))
+    return float(np.quantile(np.abs(change + errors.delta[:, : len(by_zeros)] @ by_zeros), LEVEL))
 
 
 # --------------------------------------------------------------------------------------- recordings without parts

@@ -31,8 +31,8 @@ from manip_learn.learning.table import LEAST_GAIN, LEAST_MOTION, ArmErrors, Sett
 from manip_learn.linalg import null_basis, orthonormal_rows, row_space_angles
 from manip_learn.recordings.trajectory import evenly
 
-LEAST_RAD = 4e-5  # [rad] accuracy of rails, tables and encoders: smaller residuals are equal
-STATED = 0.68  # confidence level of all uncertainties
+ACCURACY = 4e-5  # [rad] accuracy of rails, tables and encoders: smaller residuals are equal
+LEVEL = 0.68  # confidence level of all uncertainties
 TAU = np.append(0.0, np.geomspace(1e-6, 3e-2, 60))  # [rad] candidate joint offsets beyond their prior
 
 
@@ -197,7 +197,7 @@ class RowFit:
         cost: Sum of squares of the residual.
         m: Number of parameters B of Lambda + B Lambda_perp.
         dof: Degrees of freedom of the residual.
-        variance: Variance of the residual, of at least `LEAST_RAD` squared [rad^2].
+        variance: Variance of the residual, of at least `ACCURACY` squared [rad^2].
     """
 
     def __init__(self, motion: Motion, rows: np.ndarray):
@@ -214,7 +214,7 @@ class RowFit:
         self.cost = float(np.sum(self.r**2))
         constants = len(rows) * len(motion.parts) if motion.way is None else 0
         self.dof = max(self.r.size - constants - self.m, 1)
-        self.variance = self.cost / self.dof + LEAST_RAD**2
+        self.variance = self.cost / self.dof + ACCURACY**2
 
     def centre(self, columns: np.ndarray) -> np.ndarray:
         """Return columns less their best constants in each stretch; unchanged for velocities.
@@ -310,7 +310,7 @@ class RowFit:
         Args:
             other: Fit to the same motion.
         """
-        n, floor = self.dof / self.inflation, self.dof * LEAST_RAD**2
+        n, floor = self.dof / self.inflation, self.dof * ACCURACY**2
         gain = n * float(np.log((other.cost + floor) / (self.cost + floor)))
         return 0.5 * (gain - (self.m - other.m) * float(np.log(max(n, 2.0))))
 
@@ -377,7 +377,7 @@ def group_fit(fit: RowFit) -> list[set[int]]:
 
     groups: dict[tuple[int, ...], np.ndarray] = {(i,): reduced([i]) for i in few}
     dof = max(fit.dof * len(few) / len(recs) - m * (len(few) - 1), 1.0)
-    variance = sum(x[-1, -1] for x in groups.values()) / dof + LEAST_RAD**2
+    variance = sum(x[-1, -1] for x in groups.values()) / dof + ACCURACY**2
     r = fit.r.copy()  # with a separate B for each of the few
     for p, i in zip(fit.motion.parts, fit.motion.recs, strict=True):
         if i in few:
@@ -392,7 +392,7 @@ def group_fit(fit: RowFit) -> list[set[int]]:
         """
         S = np.sum([*groups.values()], axis=0)
         K = S[:-1, :-1] + variance / TAU[-1] ** 2 * np.eye(len(S) - 1)
-        cost = max(float(S[-1, -1] - S[-1, :-1] @ np.linalg.solve(K, S[:-1, -1])), 0.0) + dof * LEAST_RAD**2
+        cost = max(float(S[-1, -1] - S[-1, :-1] @ np.linalg.solve(K, S[:-1, -1])), 0.0) + dof * ACCURACY**2
         return -0.5 * n * float(np.log(cost)) - 0.5 * m * len(groups) * float(np.log(max(n, 2.0)))
 
     if nats(groups) - nats({tuple(few): reduced(few)}) < LEAST_GAIN:
@@ -435,7 +435,7 @@ def misfit(fit: RowFit) -> tuple[float, float]:
     P = np.einsum("nai,nc->naic", fit.root, powers).reshape(*fit.r.shape, -1)
     X = np.concatenate([fit.X[:, :, :-1], fit.centre(P), fit.X[:, :, -1:]], axis=2)
     G, plain = fit.sums(X), fit.X.shape[2] - 1
-    total, prior, costs = np.sum([*G.values()], axis=0), np.zeros(X.shape[2] - 1), np.full(2, fit.dof * LEAST_RAD**2)
+    total, prior, costs = np.sum([*G.values()], axis=0), np.zeros(X.shape[2] - 1), np.full(2, fit.dof * ACCURACY**2)
     prior[fit.m : plain] = fit.variance / TAU[-1] ** 2
     for mine in G.values():
         rest = total - mine
@@ -494,7 +494,7 @@ def draw_errors(fit: RowFit, arm: ArmErrors, rng: np.random.Generator) -> Errors
     if ratio > 1.0 + 1.5 * np.sqrt(2.0 / freedom):
         noise *= np.sqrt(ratio * freedom / rng.chisquare(freedom, n_draws))[:, None]
     # errors of the arm, delta ~ N(0, (z^2 + tau^2)), from their pattern and the residual with B eliminated
-    variance += LEAST_RAD**2
+    variance += ACCURACY**2
     response = -solve(H, total[:m, m:])
     S = total[m:, m:] + total[m:, :m] @ response
     lam, V = np.linalg.eigh(S[:-1, :-1])

@@ -21,7 +21,7 @@ from manip_learn.constraint.features.feature_map import FeatureMap
 from manip_learn.errors import counted
 from manip_learn.learning.repeats import drop_duplicates
 from manip_learn.learning.search import Hypothesis, least_used
-from manip_learn.learning.table import BELIEVED, CLEAR_GAP, OVER_NOISE, SLIGHT, Stretch, View, tangents, whitening
+from manip_learn.learning.table import CLEAR_GAP, OVER_NOISE, SLIGHT, STRENGTH, Stretch, View, tangents, whitening
 from manip_learn.recordings.trajectory import Trajectory
 
 FEWEST = 3  # smallest number of recordings for clear evidence
@@ -61,7 +61,7 @@ class Evidence:
     chances: np.ndarray
     levels: np.ndarray
     n_pieces: int
-    believed: float = BELIEVED
+    believed: float = STRENGTH
     firm: int = 0
 
     @property
@@ -147,7 +147,7 @@ def _aligned(pieces: Sequence[Trajectory], scale: np.ndarray, n_bins: int) -> tu
 
 
 def recombination_test(
-    features: FeatureMap, pieces: Sequence[Trajectory], seed: int = 0, choices: float = 1.0, believed: float = BELIEVED
+    features: FeatureMap, pieces: Sequence[Trajectory], seed: int = 0, choices: float = 1.0, believed: float = STRENGTH
 ) -> Evidence:
     """Return the evidence that rows of Phi are constrained, by exchanging the joints between pieces.
 
@@ -292,7 +292,7 @@ class Gate:
     """
 
     seed: int = 0
-    believed: float = BELIEVED
+    believed: float = STRENGTH
 
     def evidence(self, view: View, stretches: Sequence[Stretch], choices: float | None = None) -> Evidence:
         """Return the evidence of stretches.

@@ -48,8 +48,8 @@ from scipy.linalg import LinAlgError, cholesky, eigh, solve_triangular
 from scipy.spatial import cKDTree
 
 from manip_learn.errors import NotIdentifiableError, advice, counted
-from manip_learn.learning.fit import STATED, Errors, angles, solve, view_levels
-from manip_learn.learning.table import CLEAR_GAP, LEAST_GAIN, NONE, WEAK_GAP, Settings, Table, View
+from manip_learn.learning.fit import LEVEL, Errors, angles, solve, view_levels
+from manip_learn.learning.table import CLEAR_GAP, LEAST_GAIN, WEAK_GAP, ZERO, Settings, Table, View
 from manip_learn.linalg import inverse_triangles_beside, null_basis, orthonormal_rows, row_bases
 
 POLYNOMIALS = ("constant", "affine", "quadratic", "cubic", "quartic", "quintic")
@@ -59,13 +59,13 @@ MODELS: dict[str, tuple[str, ...]] = {name: POLYNOMIALS[: degree + 1] for degree
 MODELS |= {"rbf": ("rbf32",), "affine-offset": ("affine", "offset"), "harmonic1": (*POLYNOMIALS[:2], "harmonic1")}
 MODELS |= {"harmonic2": (*MODELS["harmonic1"], "harmonic2")}
 MODELS |= {"auto": (*MODELS["harmonic1"], "quadratic", "cubic", "harmonic2")}
-MOST = 60_000  # velocities in the last fit: more hardly change the answer
+FIT_SIZE = 60_000  # velocities in the last fit: more hardly change the answer
 ABOVE_NOISE = 1.5  # largest ratio of equal variances: to the noise, between joints, to motion without a policy
 # shares of the energy: noise that is small enough for an answer, a thousandth of the speed, better than recorded
 # velocities; and the smallest variance, a millionth of the speed, also with a rest posture of each recording. The
 # square of the latter is rounding
-RESOLVED, LEAST = 1e-6, 1e-12
-EXPLAINED = 0.3  # largest unexplained share of left-out motion; twice as much, on few samples, stops the search
+RESOLUTION, MIN_VARIANCE = 1e-6, 1e-12
+UNEXPLAINED = 0.3  # largest unexplained share of left-out motion; twice as much, on few samples, stops the search
 MOST_UNCERTAIN = 30.0  # [deg] largest uncertainty of an answer
 TINY = 1e-300  # keeps quotients finite
 MOST_CENTRES, SAMPLES_PER_CENTRE = 96, 10  # radial functions of the policy that separates
@@ -130,7 +130,7 @@ class Data:
         self.mixing = np.eye(table.u.shape[1]) if mixing is None else mixing
         self.Phi, self.u = view.Phi[some] @ self.mixing.T, table.u[some] @ self.mixing.T
         self.mean_square = float(np.mean(self.u**2))
-        self.floor = (LEAST if self.own else RESOLVED) * self.mean_square
+        self.floor = (MIN_VARIANCE if self.own else RESOLUTION) * self.mean_square
         self.enough = ABOVE_NOISE * max(self.floor, 0.0 if self.own else float(np.median(table.noise[some])))
 
     def parts(self, most: int) -> list[np.ndarray]:
@@ -216,7 +216,7 @@ class PolicyFit:
         """Find the variances and Theta in turn."""
         C, pulled = self.D.T @ self.D, self.D.T @ self.null.reshape(-1)
         grade, size = np.repeat(self.d.grades, self.d.u.shape[1]), self.d.grades.max() + 1
-        scale, least = self.d.mean_square, LEAST * self.d.mean_square
+        scale, least = self.d.mean_square, MIN_VARIANCE * self.d.mean_square
         first = (0.1 * scale, np.full(size, 4.0 * scale)) if before is None else (before.noise, before.variances[:size])
         self.noise, self.variances = first
         for i in range(5 if before is None else 3):
@@ -247,7 +247,7 @@ class PolicyFit:
         for _ in range(steps):
             H = here.hessian
             B = -solve(H + damping * np.diag(np.diag(H)), here.J.T @ here.e)
-            if not B @ H @ B >= RESOLVED * here.noise or damping > 1e6:
+            if not B @ H @ B >= RESOLUTION * here.noise or damping > 1e6:
                 break
             needed = (here.determined >= min(0.1, np.max(here.determined, initial=0.0)))[here.d.grades]
             d = copy(here.d)
@@ -395,7 +395,7 @@ def select_likeliest(fits: Iterable[PolicyFit]) -> PolicyFit:
     Args:
         fits: Fits with different numbers of rows.
     """
-    some = [f for f in fits if f.held_out <= ABOVE_NOISE * max(f.energy, f.n_residuals * RESOLVED * f.d.mean_square)]
+    some = [f for f in fits if f.held_out <= ABOVE_NOISE * max(f.energy, f.n_residuals * RESOLUTION * f.d.mean_square)]
     return max(some, key=lambda f: f.nats(f.d.floor)) if some else min(fits, key=lambda f: f.held_out)
 
 
@@ -458,8 +458,8 @@ def learn_imposed(views: list[View], settings: Settings) -> Imposed | NotIdentif
         return best
     if settings.estimator == "auto":
         rows = view_levels(best.view, table.wholes).directions[: len(best.fit.rows)]
-        d = Data(best.view, (), 0, _subsample(table, MOST))
-        if best.held_out > EXPLAINED or best.nats <= PolicyFit(d, orthonormal_rows(rows)).nats(d.floor):
+        d = Data(best.view, (), 0, _subsample(table, FIT_SIZE))
+        if best.held_out > UNEXPLAINED or best.nats <= PolicyFit(d, orthonormal_rows(rows)).nats(d.floor):
             return NotIdentifiableError("no policy of the posture explains this motion", code="no-task")
     return _add_warnings(best, settings)
 
@@ -518,7 +518,7 @@ def _joint(v: View, settings: Settings) -> Imposed | NotIdentifiableError:
 
     if settings.estimator == "auto":  # if an affine policy predicts hardly anything, richer ones are not fitted
         plain = search(Data(v, MODELS["affine"], seed, few[:: -(-len(few) // 500)]), rng)
-        if all(fit.held_out > 2.0 * EXPLAINED * fit.energy for fit in plain):
+        if all(fit.held_out > 2.0 * UNEXPLAINED * fit.energy for fit in plain):
             return NotIdentifiableError("no policy of the posture explains this motion", code="no-task")
 
     def searched(mixing: np.ndarray | None) -> tuple[list[PolicyFit], PolicyFit]:
@@ -527,7 +527,7 @@ def _joint(v: View, settings: Settings) -> Imposed | NotIdentifiableError:
 
     fits, best = searched(None)
     floor, energy = best.d.floor, len(few) * nv * best.d.mean_square
-    noisy = len(few) * best.noise > 1e-2 * RESOLVED * energy  # else by least squares, far below this resolution
+    noisy = len(few) * best.noise > 1e-2 * RESOLUTION * energy  # else by least squares, far below this resolution
     if noisy and (mixing := noise_whitening(table)) is not None:
         fits, best = max((fits, best), searched(mixing), key=lambda found: found[1].nats(floor))
     if len(best.rows) == 0:
@@ -539,7 +539,7 @@ def _joint(v: View, settings: Settings) -> Imposed | NotIdentifiableError:
         if apart.nats(apart.d.floor) > shared.nats(apart.d.floor):  # a rest posture of each recording explains more
             return _joint(v, replace(settings, policy_model="affine-offset"))
     names = [g for i, g in enumerate(names) if i in best.d.grades]
-    fit, name = PolicyFit(Data(v, names, seed, _subsample(table, MOST), best.d.mixing), best.rows), ""
+    fit, name = PolicyFit(Data(v, names, seed, _subsample(table, FIT_SIZE), best.d.mixing), best.rows), ""
     if noisy:
         fit = fit.best()
         used = [g for g, number in zip(names, fit.determined, strict=False) if number >= 1.0] or names
@@ -547,12 +547,12 @@ def _joint(v: View, settings: Settings) -> Imposed | NotIdentifiableError:
     nats = fit.nats(floor)
     for one in () if noisy else exact if auto else (model,):  # until the residual is rounding, or little more
         d = Data(v, MODELS[one], seed, few)
-        if not fit.exact or (fit.cost > LEAST**2 * energy and nv * d.beta.shape[1] <= max_columns):
+        if not fit.exact or (fit.cost > MIN_VARIANCE**2 * energy and nv * d.beta.shape[1] <= max_columns):
             there = PolicyFit(d, best.rows, exact=True).best(30)
             fit, name = (there, one) if not fit.exact or there.cost < 0.5 * fit.cost else (fit, name)
     name = name if auto else model.replace("rbf", "rbf32")
     share, weak = fit.held_out / fit.energy, math.sqrt(1.0 + 6.0 * math.sqrt(2.0 / len(few)))
-    rms = [math.sqrt(max(f.held_out, LEAST * energy) / f.n_residuals) for f in fits]
+    rms = [math.sqrt(max(f.held_out, MIN_VARIANCE * energy) / f.n_residuals) for f in fits]
     gaps = {k: rms[k - 1] / rms[k] for k in range(1, len(rms))}
     return Imposed(v, fit, gaps, max(len(select_likeliest(fits).rows), 1), weak, name, {name: share}, share, nats)
 
@@ -562,7 +562,7 @@ def _add_warnings(a: Imposed, settings: Settings) -> Imposed | NotIdentifiableEr
     rows, is_given, s = a.fit.rows, settings.n_constraints is not None, counted(len(a.fit.rows), "row")
     gap, better = a.gaps.get(len(rows), 0.0), a.gaps.get(a.likeliest, 0.0)
     for part, B in a.fit.errors(np.random.default_rng(settings.seed)).items():
-        a.uncertainty[part] = float(np.degrees(np.quantile(angles(rows, a.view.W, B), STATED)))
+        a.uncertainty[part] = float(np.degrees(np.quantile(angles(rows, a.view.W, B), LEVEL)))
         total = B if a.errors is None else B + a.errors.noise
         a.errors = Errors(total, 0.0 * B, np.zeros((len(B), a.view.table.u.shape[1])))
     if a.estimator == "joint" and (deg := math.hypot(*a.uncertainty.values())) > MOST_UNCERTAIN:
@@ -576,7 +576,7 @@ def _add_warnings(a: Imposed, settings: Settings) -> Imposed | NotIdentifiableEr
         a.warnings.append(f"weak gap: {gap:.2g} for {s}, {CLEAR_GAP:g} is clear; {why}")
     if is_given and a.likeliest != len(rows) and better >= a.weak_gap:
         a.warnings.append(f"{s} learnt, but the gap supports {a.likeliest}: {better:.3g} against {gap:.3g}")
-    if a.held_out > EXPLAINED and a.estimator == "joint":
+    if a.held_out > UNEXPLAINED and a.estimator == "joint":
         part = f"{100 * (1 - a.held_out):.0f} % of left-out trajectories"
         a.warnings.append(f"the policy predicts only {part}: the null-space motion is not a function of the posture")
     return a
@@ -621,7 +621,7 @@ def separate_null_motion(view: View, seed: int) -> np.ndarray | NotIdentifiableE
                 break
     k = x.size // u.shape[1]
     w = beta @ ((Vt[:k].T / sigma[:k]) @ x.reshape(k, -1))
-    if np.sum(w**2) < NONE * np.sum(u**2):
+    if np.sum(w**2) < ZERO * np.sum(u**2):
         use = advice("; use {}", "estimator='joint'", "--estimator joint")
         return NotIdentifiableError(f"no null-space motion remains without the task{use}", code="no-null-motion")
     return w

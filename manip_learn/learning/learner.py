@@ -18,8 +18,8 @@ from manip_learn.learning.repeats import IndependentRecordings
 from manip_learn.learning.report import Context, LearningReport, make_reports
 from manip_learn.learning.skill import build_skill
 from manip_learn.learning.table import (
-    BELIEVED,
     MOST_SAMPLES,
+    STRENGTH,
     SWITCH,
     ArmErrors,
     EstimatorName,
@@ -122,7 +122,7 @@ class ConstraintLearner:
         velocities: Velocities = "auto",
         phases: Switch = "auto",
         mechanism: Switch = "auto",
-        strength: float = BELIEVED,
+        strength: float = STRENGTH,
         switching_cost: float = SWITCH,
         keep_habits: bool = False,
         max_samples: int = MOST_SAMPLES,

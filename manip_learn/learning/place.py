@@ -36,13 +36,13 @@ from manip_learn.constraint.mechanism import (
 )
 from manip_learn.constraint.place import Curve, Place, across
 from manip_learn.errors import FeatureError
-from manip_learn.learning.fit import LEAST_RAD, STATED, Errors, Motion, RowFit, autocorrelation
+from manip_learn.learning.fit import ACCURACY, LEVEL, Errors, Motion, RowFit, autocorrelation
 from manip_learn.learning.gate import Gate
 from manip_learn.learning.table import (
     CLEAR_GAP,
-    FARTHEST,
     LEAST_GAIN,
     LEAST_MOTION,
+    MAX_RANGE,
     OVER_NOISE,
     WEAK_GAP,
     Settings,
@@ -52,12 +52,12 @@ from manip_learn.learning.table import (
 from manip_learn.linalg import null_basis, orthonormal_rows, pivoted_rows
 from manip_learn.recordings.trajectory import evenly
 
-KNOWN = {"axis": slice(0, 3), "point": slice(3, 6), "point-across": slice(3, 6), "pitch": slice(6, 7)}
+SLICES = {"axis": slice(0, 3), "point": slice(3, 6), "point-across": slice(3, 6), "pitch": slice(6, 7)}
 Places = Float[np.ndarray, "n 3"]
 # [deg] RMS rotation of a firmly held hand relative to the mechanism: simulated welds give way by 0.03 to 1.5, hands
 # kept straight by habit by 1.6 to 5
-GIVES_WAY = 1.5
-KEPT = OVER_NOISE * GIVES_WAY  # [deg] largest rotation of a hand that is not free to turn: loose grips reach 5.9 to 30
+GRIP_PLAY = 1.5
+LOOSE = OVER_NOISE * GRIP_PLAY  # [deg] largest rotation of a hand that is not free to turn: loose grips reach 5.9 to 30
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,7 +128,7 @@ def locate(fit: RowFit, errors: Errors | None) -> Placement | None:
     if kind.type in ("line", "plane"):  # the mean position of the hand, not the origin of the axes of the rows
         place = replace(place, point=p.mean(axis=0))
     radius = hand_arc(kind, place, p)
-    if radius is not None and not kind.name.endswith("firm") and radius[0] > FARTHEST:
+    if radius is not None and not kind.name.endswith("firm") and radius[0] > MAX_RANGE:
         return None
     off, few = [], p[evenly(len(p), n_draws)]
     ahead = headings(kind, place, few)
@@ -148,7 +148,7 @@ def locate(fit: RowFit, errors: Errors | None) -> Placement | None:
         off.append((axis, float(np.linalg.norm(d)), wider, abs(there.pitch - place.pitch), float(np.median(aside))))
     quantities = {name.removesuffix("-across") for name in kind.unknowns} | ({"radius"} if radius else set())
     # axis [deg], point and radius [m], pitch [m/rad], direction [deg]
-    sizes: list[float] = np.quantile(off, STATED, axis=0).tolist() if off else []
+    sizes: list[float] = np.quantile(off, LEVEL, axis=0).tolist() if off else []
     stated = zip(("axis", "point", "radius", "pitch"), sizes, strict=False)
     uncertainty = {name: size for name, size in stated if name in quantities}
     # a single recording has no known error: a millimetre along the axis does not count
@@ -249,7 +249,7 @@ def fit_shape(fit: RowFit, known: Placement | None, arm_deg: float) -> Placement
     # rows without a mechanism count as a plane or a line
     name, axis = ("plane", normal) if len(fit.rows) == 1 else ("line", first)
     kind, place = (KIND_BY_NAME[name], Place(axis, middle)) if known is None else (known.kind, known.place)
-    before = float(np.mean(_fit_place(kind, place, p, parts)[1] ** 2)) + LEAST_RAD**2
+    before = float(np.mean(_fit_place(kind, place, p, parts)[1] ** 2)) + ACCURACY**2
 
     def gain(residual: np.ndarray, unknowns: int) -> float:
         """Return the gain of a shape over the rows, net of the price of its unknowns [nats].
@@ -259,7 +259,7 @@ def fit_shape(fit: RowFit, known: Placement | None, arm_deg: float) -> Placement
             unknowns: Number of its parameters.
         """
         n = residual.size / autocorrelation(residual, parts)
-        return 0.5 * n * math.log(before / (float(np.mean(residual**2)) + LEAST_RAD**2)) - 0.5 * unknowns * math.log(n)
+        return 0.5 * n * math.log(before / (float(np.mean(residual**2)) + ACCURACY**2)) - 0.5 * unknowns * math.log(n)
 
     starts: list[Place] = []
     if len(fit.rows) == 2 and kind.name in ("hinge", "screw"):
@@ -273,7 +273,7 @@ def fit_shape(fit: RowFit, known: Placement | None, arm_deg: float) -> Placement
     if best is not None and gain(best[1], n) > LEAST_GAIN and abs(best[0].pitch) >= 3.0 * math.sqrt(best[2][6, 6]):
         place, _, C = best
         place = replace(place, point=place.point + ((middle - place.point) @ place.axis) * place.axis).as_told()
-        axis, point, pitch = (math.sqrt(np.trace(C[KNOWN[n], KNOWN[n]])) for n in ("axis", "point", "pitch"))
+        axis, point, pitch = (math.sqrt(np.trace(C[SLICES[n], SLICES[n]])) for n in ("axis", "point", "pitch"))
         point = math.hypot(point, math.radians(arm_deg) * (hand_arc(kind, place, p) or (0.0,))[0])
         uncertainty = {"axis": math.hypot(math.degrees(axis), arm_deg), "point": point, "radius": point}
         uncertainty |= {"pitch": pitch} if "pitch" in kind.unknowns else {}
@@ -288,7 +288,7 @@ def _fit_place(
     kind: MechanismKind, start: Place, p: Places, parts: list[slice]
 ) -> tuple[Place, Float[np.ndarray, "n k"], Float[np.ndarray, "7 7"]]:
     """Return the best place, its residual [m], and the covariance of its axis, point and pitch."""
-    steps = np.concatenate([np.eye(7)[KNOWN[name]] for name in kind.unknowns])
+    steps = np.concatenate([np.eye(7)[SLICES[name]] for name in kind.unknowns])
     solution = least_squares(lambda x: _residual(kind, start.moved(x @ steps), p, parts).ravel(), np.zeros(len(steps)))
     place = start.moved(solution.x @ steps)
     residual = _residual(kind, place, p, parts)
@@ -380,7 +380,7 @@ def fit_whole(
             free = (x @ null_basis(A) for x, A in zip(J[few, :3], fit.rows @ motion.Phi[few], strict=True))
             moves = [np.count_nonzero(np.linalg.svd(x, compute_uv=False) > ON_THE_AXIS) for x in free]
             # where the gap is clear, rotation by independent joints alone counts
-            most = min(GIVES_WAY if gap < CLEAR_GAP else np.inf, apart / CLEAR_GAP)
+            most = min(GRIP_PLAY if gap < CLEAR_GAP else np.inf, apart / CLEAR_GAP)
             # rows of the position that explain as much are preferred: a compliant grip turns more than it slides, and
             # a hand that is free to turn may turn alike each time
             n_constrained, is_kind = 3 - int(np.median(moves)), kind_of(fit) is not None
@@ -425,10 +425,10 @@ def grip_kind(known: Placement, motion: Motion) -> tuple[MechanismKind, float, f
             off[name] = np.arccos(np.clip(units @ mean / np.linalg.norm(mean), -1.0, 1.0))
         deviations.append({name: float(np.degrees(np.sqrt(np.mean(angles**2)))) for name, angles in off.items()})
     rms = {name: float(np.median([x[name] for x in deviations])) for name in deviations[0]}
-    smallest, most = min(rms["fixed"], rms.get("carried", np.inf)), min(GIVES_WAY, apart / CLEAR_GAP)
+    smallest, most = min(rms["fixed"], rms.get("carried", np.inf)), min(GRIP_PLAY, apart / CLEAR_GAP)
     kinds = [k for k in MECHANISM_KINDS if k.type == known.kind.type and len(k.rows) > len(known.kind.rows)]
     firm = [k for k in kinds if rms.get(k.orientation, np.inf) <= most]
-    firm = [k for k in firm if k.orientation != "about-axis" or smallest > KEPT]
+    firm = [k for k in firm if k.orientation != "about-axis" or smallest > LOOSE]
     return max(firm, key=lambda k: (len(k.rows), -rms[k.orientation]), default=known.kind), smallest, apart
 
 

@@ -30,7 +30,7 @@ from manip_learn.recordings.velocities import noise_variance
 # largest distance of a posture on a path, over the noise and the error of chords: the noise of seven joints reaches
 # twice its RMS once in 5,000 samples, the noise of two joints once in 50. Also the largest residual of a cubic at a
 # seam, over the largest one elsewhere; 1.5 and 4 give the same results for 2,464 sets (at bf329fe4)
-AS_NOISE = 2.0
+NOISE_RATIO = 2.0
 # smallest share of a recording's path that lies on another's: copies are trimmed by a few samples at their ends. The
 # remaining share is the smallest part of a path that counts as a repetition of the part before it in one file
 REPEATED_SHARE = 0.9
@@ -153,7 +153,7 @@ class _Path:
         # largest distance of the motion from the chord between them: an eighth of the second difference, doubled
         second = np.linalg.norm(np.diff(q, n=2, axis=0), axis=1) if len(q) > 2 else np.zeros(1)
         chord = 0.25 * np.max(second[np.clip(a[best] - np.array([[0], [1]]), 0, len(second) - 1)], axis=0)
-        most = AS_NOISE * np.sqrt(self.noise2 + other.noise2 + chord**2)
+        most = NOISE_RATIO * np.sqrt(self.noise2 + other.noise2 + chord**2)
         # no decision where noise or long chords are larger
         lies = distance <= np.minimum(most, SLIGHT * max(self.extent, other.extent))
         return float(np.max(distance[lies])) if np.mean(lies) >= share else None
@@ -263,7 +263,7 @@ def _find_chains(paths: Sequence[_Path]) -> list[list[int]]:
             through, pause = np.linalg.norm(seam[-1] - seam[0]), b.time[0] - a.time[-1]
             moves = residual < SLIGHT * extent and through > max(ratio * speed * 2 * half, residual / ratio)
             goes_on = 0.0 <= pause <= 2.0 * max(np.median(np.diff(a.time)), np.median(np.diff(b.time)))
-            if before != after and (goes_on or residual <= AS_NOISE * usual + 1e-12):
+            if before != after and (goes_on or residual <= NOISE_RATIO * usual + 1e-12):
                 seams.append((not (goes_on or moves), after != before + 1, residual, before, after))
     cut = {i for at_rest, *_, before, after in seams if not at_rest for i in (before, after)}
     chains = {i: [i] for i in range(len(paths))}  # by their first number

@@ -16,12 +16,12 @@ import numpy as np
 
 from manip_learn.constraint.features.frame_jacobian import FrameJacobian
 from manip_learn.constraint.features.mechanism_rows import PlaceRows
-from manip_learn.learning.table import CHANGE, LEAST_GAIN, SHORTEST, SLIGHT, WEAK_GAP, Samples, Stretch, Table, View
+from manip_learn.learning.table import CHANGE, LEAST_GAIN, MIN_TIME, SLIGHT, WEAK_GAP, Samples, Stretch, Table, View
 from manip_learn.linalg import orthonormal_rows, row_space_angle
 
 SCALES = tuple((steady, share) for steady in (1.0, 3.0, 9.0) for share in (0.003, 0.01, 0.03, 0.1, 0.2))
 SAME = np.radians(3.0)  # [rad] rows at a smaller angle are one proposal
-TURNS = 4  # largest number of alternations between fits and states
+ROUNDS = 4  # largest number of alternations between fits and states
 
 
 Scale = tuple[float, float]
@@ -308,7 +308,7 @@ class Explanation:
             Last explanation that increased the evidence.
         """
         best = self
-        for _ in range(TURNS):
+        for _ in range(ROUNDS):
             refitted = [best.refit(k, h) for k, h in enumerate(best.hypotheses)]
             now = Explanation(self.views, refitted, self.switch)
             if now.explained.sum() <= best.explained.sum():
@@ -343,7 +343,7 @@ class Explanation:
             i = int(m.recording[a])
             ends = view.table.ends[i].tolist()
             start, end = m.time[inside[[0, -1]]].tolist()
-            long = end - start >= SHORTEST
+            long = end - start >= MIN_TIME
             if k:
                 start, end = ends[0] if a == m.first[i] else start, ends[1] if b == m.first[i + 1] else end
             if long or not k or [start, end] == ends:
@@ -433,7 +433,7 @@ def candidates(now: Explanation, allowed: Sequence[int]) -> list[Hypothesis]:
             order = order[support[order] > 0.0]
             best += [proposals[i] for i in order[distinct_rows(rows[order], most)]]
     going, out = fit_hypotheses(views, best, np.zeros((len(baseline), len(best)), dtype=bool), baseline, switch), []
-    for _ in range(TURNS):
+    for _ in range(ROUNDS):
         if not going:
             break
         each = (evidence(views[h.view].thin, h.rows[None], [h.scale])[:, 0, 0] for h in going)
@@ -544,7 +544,7 @@ def lone_contacts(
         views = [v.for_recording(i, alone) for v in explanation.views]
         rest, m = Explanation(views, explanation.hypotheses, explanation.switch), views[0].thin
         free = np.sum(m.weight[(rest.states == 0) & m.moving])
-        proposals = candidates(rest, places) if free > SHORTEST else []
+        proposals = candidates(rest, places) if free > MIN_TIME else []
         firm = [h for h in proposals if h.scale[1] <= SLIGHT and h.support > LEAST_GAIN]
         if not firm:
             continue

@@ -37,13 +37,13 @@ from manip_learn.robot.tips import likely_tips
 
 # smallest strength of a held row with 99 % confidence, net of the selection among hypotheses: free motion of a real arm
 # that replays itself reaches 1.97, the best of 60 generated sets 1.6, contacts with rails, hinges and tables 15 to 500
-BELIEVED = 1.8
+STRENGTH = 1.8
 SWITCH = 16.0  # [nats] cost of a change of state: a probability of exp(-16) for each tenth of a second
 CHANGE = 0.1  # [s] duration of a change of state; samples closer together are not independent
-FARTHEST = 3.0  # [m] largest distance at which an axis or a centre can be distinguished from a line or a plane
+MAX_RANGE = 3.0  # [m] largest distance at which an axis or a centre can be distinguished from a line or a plane
 OVER_NOISE = 4.0  # [standard deviations of the noise] a larger change is motion
 SCAN_RATE = 25.0  # [Hz] sampling rate that suffices to judge a hypothesis
-SHORTEST = 3.0 * CHANGE  # [s] shorter stretches occur by chance
+MIN_TIME = 3.0 * CHANGE  # [s] shorter stretches occur by chance
 # [nats] smallest gain of a hypothesis over the others, net of its price; in the search without its best recording
 LEAST_GAIN = 40.0
 # ratio between the motion along the next direction and along the rows: refused below the first, clear above the second
@@ -53,7 +53,7 @@ LEAST_MOTION = 1e-3
 # negligible share: of the free velocity for held rows; of the hand's path for one place; of the extent of a path for
 # another path on it (of 28 kinds of generated sets the nearest two are 3.6 % apart)
 SLIGHT = 0.01
-NONE = 1e-6  # zero for all purposes: share of a joint in the motion; size of a row of Phi over the largest of its unit
+ZERO = 1e-6  # zero for all purposes: share of a joint in the motion; size of a row of Phi over the largest of its unit
 # a sample this many times faster than usual, or farther from the median posture, is a recording error: 10 m/s for a
 # hand that usually moves at 1 mm/s, or 10,000 rad for postures within 1 rad of the median
 OUTLIER_FACTOR = 1e4
@@ -92,7 +92,7 @@ class Settings:
     policy_model: str = "auto"
     phases: bool = True
     mechanism: bool = True
-    strength: float = BELIEVED
+    strength: float = STRENGTH
     switch: float = SWITCH
     habits: bool = False
     arm: ArmErrors = ArmErrors()
@@ -240,7 +240,7 @@ def excitation(names: Sequence[str], u: np.ndarray) -> tuple[dict[str, float], l
     """
     energy = np.sum(u**2, axis=0)
     shares = dict(zip(names, (energy / max(float(energy.sum()), np.finfo(np.float64).tiny)).tolist(), strict=True))
-    still = [name for name, share in shares.items() if share < NONE]
+    still = [name for name, share in shares.items() if share < ZERO]
     return shares, still if len(still) < len(shares) else []
 
 
@@ -316,8 +316,8 @@ def whitening(Phi: np.ndarray, units: Sequence[str]) -> np.ndarray:
     """
     S = np.einsum("npv,nqv->pq", Phi, Phi, optimize=True) / len(Phi)
     size, names = np.sqrt(np.diag(S)), np.array(units)
-    moves = np.array([size[i] > NONE * size[names == unit].max() for i, unit in enumerate(names)])
-    return whitener(S * np.outer(moves, moves), NONE**2)
+    moves = np.array([size[i] > ZERO * size[names == unit].max() for i, unit in enumerate(names)])
+    return whitener(S * np.outer(moves, moves), ZERO**2)
 
 
 class View:
@@ -418,13 +418,13 @@ class View:
         """
         inside = self.table.inside([s])
         time = self.table.time[inside]
-        inner = (time >= s.start + SHORTEST) & (time <= s.end - SHORTEST)
-        if s.end - s.start < 4.0 * SHORTEST or np.count_nonzero(inner) < 10:
+        inner = (time >= s.start + MIN_TIME) & (time <= s.end - MIN_TIME)
+        if s.end - s.start < 4.0 * MIN_TIME or np.count_nonzero(inner) < 10:
             return s
         way = self.way(inside, rows)
         away = np.linalg.norm(way - np.median(way[inner], axis=0), axis=1)
         times_away = time[(away > 2.5 * np.quantile(away[inner], 0.9)) & ~inner]
-        before, after = times_away[times_away < s.start + SHORTEST], times_away[times_away > s.end - SHORTEST]
+        before, after = times_away[times_away < s.start + MIN_TIME], times_away[times_away > s.end - MIN_TIME]
         first, last = self.table.ends[s.recording]
         start = float(time[time > before[-1]][0]) if len(before) and s.start > first else s.start
         end = float(time[time < after[0]][-1]) if len(after) and s.end < last else s.end

@@ -33,7 +33,7 @@ from manip_learn.robot.joints import Frame
 from manip_learn.robot.robot import Robot
 
 FLOOR = "floor"
-_ROUNDED = 1e-3  # [m] tolerance of the penetration at the grasp: a moving hand shakes a little
+_TOLERANCE = 1e-3  # [m] tolerance of the penetration at the grasp: a moving hand shakes a little
 Posture = Float[np.ndarray, " nv"]
 Links = SelfCollision | bool  # pairs of links that must not touch: True for all of the robot's shapes, False for none
 
@@ -181,12 +181,12 @@ class Clearance:
         self._least = {p.links: 0.5 * p.distance for p in sorted(near, key=lambda p: -p.distance)}
         for pair, where in pairs:  # the arm has been there: if its links touch, their shapes are too large
             if where != "at the start" and pair.links[1] not in self.around.names:
-                least = pair.distance - _ROUNDED
+                least = pair.distance - _TOLERANCE
                 self._least[pair.links] = min(least, self._least.get(pair.links, least))
         self.notes += [
             f"{one!r} and {other!r} touch in the recordings: their shapes count as {-1e3 * least:.0f} mm too large"
             for (one, other), least in self._least.items()
-            if least < -_ROUNDED
+            if least < -_TOLERANCE
         ]
 
     @property
@@ -238,13 +238,13 @@ class Clearance:
             holds: Possible grasp configurations. The one with the least penetration, or the start if it is deeper
                 there, sets the allowed depth.
         """
-        other, room = copy.copy(self), CLEARANCE + _ROUNDED
+        other, room = copy.copy(self), CLEARANCE + _TOLERANCE
 
         def distance(q: Posture) -> float:
             return min((p.distance for p in self._pairs(q, room) if self.around.is_held(p.links)), default=room)
 
         if self.around.handled:
-            other._held = min(max(map(distance, holds), default=room), distance(self._start)) - _ROUNDED
+            other._held = min(max(map(distance, holds), default=room), distance(self._start)) - _TOLERANCE
         return other
 
     def nearest_contact(self, q: Posture, distance: float = CLEARANCE) -> Proximity | None:

@@ -34,7 +34,7 @@ from manip_learn.planning.stations import Margins, Postures, Stations, path_marg
 from manip_learn.recordings.load import Progress
 from manip_learn.robot.robot import Robot
 
-LOOKED_AT = 6  # of the postures of a recording, one in this many is checked for collisions
+CHECK_STEP = 6  # of the postures of a recording, one in this many is checked for collisions
 Around = Scene | Literal["assumed"] | None
 
 
@@ -341,7 +341,7 @@ class _Problem:
             features: Any = self.rows.features
             around = Surroundings.of(None if scene == "assumed" else scene, robot, features.frame)
         demos = [np.array(x, dtype=np.float64) for x in constraint.provenance.get("postures", ()) if len(x) == robot.nv]
-        passed = [q for take in takes for q in take.q[::LOOKED_AT]]
+        passed = [q for take in takes for q in take.q[::CHECK_STEP]]
         self.clear = Clearance(robot, self.collision, around, self.positions, [*demos, *passed])
         self.notes = (*self.clear.notes, *self._contradicted(around), *self.notes)
 
@@ -357,7 +357,7 @@ class _Problem:
         """Yield contradictions between the recordings and the given scene, in sentences."""
         stated, deepest = set(around.names) - around.assumed, dict[str, tuple[float, str]]()
         for take in self.takes if stated else ():
-            for q in take.q[::LOOKED_AT] if np.allclose(take.moved, np.eye(4)) else ():
+            for q in take.q[::CHECK_STEP] if np.allclose(take.moved, np.eye(4)) else ():
                 pair = self.clear.nearest_contact(q, distance=0.0)
                 if pair is not None and (name := pair.links[1]) in stated:
                     deepest[name] = max(deepest.get(name, (0.0, "")), (-pair.distance, take.name))
@@ -449,7 +449,7 @@ class _Problem:
         spare, n_checked = 1.1, 60
         motion, stations, take, notes = one.motion, one.stations, one.take, self.notes
         path, turned = one.path, ways.nearest_turn(self.robot, one.path, self.positions)
-        if path_margins(stations, turned).margin >= min(ways.ENOUGH, one.margins.margin):
+        if path_margins(stations, turned).margin >= min(ways.GOOD_MARGIN, one.margins.margin):
             path = turned  # the shorter approach
         if (approach := self._approach(path[0], take, clear)) is None:
             return None

@@ -24,7 +24,7 @@ from manip_learn.control.tasks.motion import APPROACH_SPEED, FreeDirection, moti
 from manip_learn.errors import ConfigurationError, NoPlanError, TargetError, advice, an, counted, spoken
 from manip_learn.linalg import finite
 from manip_learn.planning.clearance import Clearance
-from manip_learn.planning.plan import LOOKED_AT, Around, Plan, approach, plan
+from manip_learn.planning.plan import CHECK_STEP, Around, Plan, approach, plan
 from manip_learn.planning.stations import Stations
 from manip_learn.planning.ways import carry_hand, join_approach, nearest_turn
 from manip_learn.recordings.load import Progress
@@ -352,7 +352,7 @@ class _SkillRun:
         distance = float(np.linalg.norm(place - hand.pose(self.q)[:3, 3]))
         if distance <= 1e-3:  # [m] it is there already
             return
-        clear = Clearance(robot, True, last_plan.around, here, () if take is None else [*take.q[::LOOKED_AT]])
+        clear = Clearance(robot, True, last_plan.around, here, () if take is None else [*take.q[::CHECK_STEP]])
 
         def brought(x: np.ndarray) -> np.ndarray:
             """Return a posture with the hand where the recordings ended, in the same orientation.

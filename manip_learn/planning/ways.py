@@ -32,8 +32,8 @@ from manip_learn.robot.robot import Robot
 from manip_learn.robot.rotations import rotation_matrix, rotation_vector
 
 SEED_STEPS, MARCH_STEPS = 40, 4  # Newton steps: from any posture, and from one station to the next
-JUMP = 0.5  # [rad or m] largest step of a joint between stations: longer ones lead to another kinematic branch
-ENOUGH = 0.15  # sufficient margin of a recorded motion: with less, limits or a singularity affect the motion
+MAX_STEP = 0.5  # [rad or m] largest step of a joint between stations: longer ones lead to another kinematic branch
+GOOD_MARGIN = 0.15  # sufficient margin of a recorded motion: with less, limits or a singularity affect the motion
 Way = Float[np.ndarray, "L nv"]
 
 
@@ -145,10 +145,10 @@ def follow_recordings(
     for take, variant, at, ways in _attempts(motion, takes, stations, positions):
         for path in (path for way in ways if (path := way()) is not None):
             candidate = Candidate(variant, at, path, take)
-            if candidate.margins.margin < ENOUGH:
+            if candidate.margins.margin < GOOD_MARGIN:
                 better = replace(candidate, path=relax(at, path, pinned=True))
                 candidate = max(candidate, better, key=lambda one: one.margins.margin)
-            if candidate.margins.margin >= ENOUGH:
+            if candidate.margins.margin >= GOOD_MARGIN:
                 yield candidate
                 break
             others.append(candidate)
@@ -204,7 +204,7 @@ def _from_take(shown: Shown, at: Stations, take: Take, q: Postures, features: An
     fits = [np.polynomial.Polynomial.fit(shares, x, degree, w=weight, domain=[0.0, 1.0]) for x in q[:top].T]
     guess = carry_hand(features, np.column_stack([fit(targets) for fit in fits]), take.moved)
     path, there = at.onto(guess, np.arange(len(at)), 3 * MARCH_STEPS)
-    near = np.max(np.abs(np.diff(path, axis=0))) <= JUMP and np.max(np.abs(path - guess)) <= JUMP
+    near = np.max(np.abs(np.diff(path, axis=0))) <= MAX_STEP and np.max(np.abs(path - guess)) <= MAX_STEP
     return path if np.all(there) and near else None
 
 
@@ -417,7 +417,7 @@ def march(
     while 0 <= k + sense < len(stations) and len(some):
         q, k = table[some, k], k + sense
         there_q, there = stations.onto(q, np.full(len(some), k), MARCH_STEPS)
-        there &= np.max(np.abs(there_q - q), axis=1) <= JUMP
+        there &= np.max(np.abs(there_q - q), axis=1) <= MAX_STEP
         some = some[there]
         table[some, k] = there_q[there]
 
