@@ -370,7 +370,7 @@ class LearnOptions(RecordingsOptions, NamedRobotOptions, ExplainedOptions, work=
 
     Attributes:
         frame: Guided frame, e.g. the tool tip.
-        axes: Axes to constrain: xyz, pose, planar, rotation, or any of 'x y z rx ry rz'.
+        axes: Axes of the features: xyz, pose, planar, rotation, or any of 'x y z rx ry rz'.
         out: Constraint file to write (JSON).
         html: HTML replay of the recordings to write, with their phases.
         relative_to: Reference frame of the Jacobian, e.g. an object. Default: the base.
@@ -438,7 +438,7 @@ class ControlOptions(ConstraintOptions, PlanOptions, ExplainedOptions, work="con
         rest: Rest posture of the attractor [rad].
         gain: Gain of the null-space policy.
         task_gain: Gain of the task [1/s].
-        duration: Duration [s]. Default: the planned one for a motion; for a target, until it should be reached.
+        duration: Duration [s]. Default: the planned duration of a motion; 5 s or more to a target.
         dt: Time step [s].
         inverse: Pseudoinverse: damped, exact or truncated.
         tolerance: Distance to the target that counts as reached [m or rad].

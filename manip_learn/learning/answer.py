@@ -153,7 +153,7 @@ def _answer_driven_rows(imposed: Imposed) -> Answers:
     return Answers([Answer(view, wholes, fit.rows, imposed.levels, imposed.gaps, fit.unexplained, **same)])
 
 
-def advised(refusal: Refusal, table: Table, settings: Settings, facts: Sequence[str]) -> Refusal:
+def add_advice(refusal: Refusal, table: Table, settings: Settings, facts: Sequence[str]) -> Refusal:
     """Return the refusal with advice: the likeliest remedies first, then the reason and the facts.
 
     Args:
@@ -319,14 +319,14 @@ def _split_places(part: _Part, groups: list[set[int]], out: Answers, settings: S
     """Return the part for each place that several recordings share; report all other recordings in `out`."""
     (fit, _, spans), recordings = part, set(part.fit.motion.recs)
 
-    def of(some: set[int]) -> _Part:
+    def restrict(some: set[int]) -> _Part:
         """Return the part in some recordings.
 
         Args:
             some: Numbers of the recordings.
         """
-        chosen_spans = [s for s in spans if s.recording in some]
-        return part._replace(fit=best_fit([fit.view], fit.view, fit.rows, chosen_spans, settings), spans=chosen_spans)
+        some_spans = [s for s in spans if s.recording in some]
+        return part._replace(fit=best_fit([fit.view], fit.view, fit.rows, some_spans, settings), spans=some_spans)
 
     several = [g for g in groups if len(g) > 1]
     if 2 * sum(map(len, several)) <= len(recordings):
@@ -334,8 +334,8 @@ def _split_places(part: _Part, groups: list[set[int]], out: Answers, settings: S
         places = f"{len(groups)} places in {counted(len(recordings), 'recording')}"
         stood = f"it is learnt where it stood in {fit.view.table.moved[last].name}"
         out.warnings.append(f"the mechanism was moved between recordings ({places}): {stood}")
-        return [of({last})._replace(spans=spans)]
-    parts = [of(g) for g in several]
+        return [restrict({last})._replace(spans=spans)]
+    parts = [restrict(g) for g in several]
     for s in (s for s in spans if not any(s.recording in g for g in several)):
         its_spans = [x for x in spans if x.recording == s.recording]
         out.odd[s.recording] = describe_difference(parts[0].fit, its_spans, several[0])
@@ -528,7 +528,7 @@ def evaluate(part: _Part, gate: Gate, whole: Sequence[View], settings: Settings)
 
 def _refusal(a: Answer, settings: Settings) -> NotIdentifiableError | None:
     """Return the refusal of rows, or None."""
-    nv, rows, why, code, advised = a.view.table.u.shape[1], counted(a.s, "row"), "", "no-evidence", ()
+    nv, rows, why, code, remedies = a.view.table.u.shape[1], counted(a.s, "row"), "", "no-evidence", ()
     if a.s >= nv:
         return NotIdentifiableError(f"{a.s} constraints leave no null space for {nv} joints", code="no-freedom")
     if settings.n_constraints is not None or a.firm is not None:
@@ -544,8 +544,8 @@ def _refusal(a: Answer, settings: Settings) -> NotIdentifiableError | None:
         why = f"{rows} would be soft (gap {a.gap:.2g}), at a different place in each recording, as in free motion"
     elif a.contradiction:
         why = f"{rows} would explain the recordings, but {a.contradiction}"
-        advised = ("vary the path and the posture between recordings" + number_if_known(a.s),)
-    return NotIdentifiableError(why, code=code, gaps=a.gaps, advice=advised) if why else None
+        remedies = ("vary the path and the posture between recordings" + number_if_known(a.s),)
+    return NotIdentifiableError(why, code=code, gaps=a.gaps, advice=remedies) if why else None
 
 
 def _warnings(a: Answer, settings: Settings) -> list[str]:

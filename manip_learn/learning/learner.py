@@ -13,7 +13,7 @@ from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features.feature_map import FeatureMap
 from manip_learn.constraint.skill import Skill
 from manip_learn.errors import FeatureError, NotFittedError, NumberOfConstraintsError, RecordingError, advice, an
-from manip_learn.learning.answer import Answers, advised, learn
+from manip_learn.learning.answer import Answers, add_advice, learn
 from manip_learn.learning.repeats import IndependentRecordings
 from manip_learn.learning.report import Context, LearningReport, make_reports
 from manip_learn.learning.skill import build_skill
@@ -229,7 +229,7 @@ class ConstraintLearner:
             settings = Settings(self.n_constraints, self.estimator, self.policy_model, **options)
             result = learn(table, settings, progress)
             if not isinstance(result, Answers):
-                raise advised(result, table, settings, recordings.warnings)
+                raise add_advice(result, table, settings, recordings.warnings)
             # for the provenance; the features are stored in the constraint itself
             names = [name for name in inspect.signature(type(self)).parameters if name not in ("features", "renamed")]
             context = Context(table, recordings, {name: getattr(self, name) for name in names}, started)
