@@ -124,7 +124,7 @@ class LearningReport:
         uncertainty_deg: In 68 % of cases the row space is within this angle of the true one: the root of the sum of
             the squares of the parts in `uncertainty`, or, of rows about an axis or a centre, the angle in the places of
             the hand; None with a single trajectory or where there is only one possible row space. A rotated base
-            rotates all recordings alike, which none of them shows: it is not included.
+            rotates all recordings equally, which none of them shows: it is not included.
         excitation: Joint name -> share of the energy of the motion.
         policy_model: Joint estimator: grades of the null-space policy that the data determine, or the given model.
         policy_residuals: Joint estimator: model -> held-out share of unexplained energy.

@@ -314,9 +314,9 @@ class _Problem:
             raise FeatureError("a plan needs a robot: the features have none")
         self.robot, self.motion, self.rng = robot, motion.with_distance(motion.wanted), np.random.default_rng(self.seed)
         self.start, self.limits = robot.checked_posture(self.start), self.limits or Limits(robot)
-        self.vain = 0  # failed searches for an approach
-        self.missing: MissingExtraError | None = None  # raised if no plan works without RoboPlan
-        self.unreached: tuple[str, str] | None = None  # pair in contact between the start and a grasp configuration
+        self.failures = 0  # failed searches for an approach
+        self.missing_extra: MissingExtraError | None = None  # raised if no plan works without RoboPlan
+        self.contact: tuple[str, str] | None = None  # pair in contact between the start and a grasp configuration
         if unsuited := [b for b in robot.blocks if b.kind in ("floating", "planar", "other")]:
             raise FeatureError(
                 f"joint {unsuited[0].name!r} is {unsuited[0].kind}: plan() supports revolute, continuous and "
@@ -343,7 +343,7 @@ class _Problem:
         demos = [np.array(x, dtype=np.float64) for x in constraint.provenance.get("postures", ()) if len(x) == robot.nv]
         passed = [q for take in takes for q in take.q[::CHECK_STEP]]
         self.clear = Clearance(robot, self.collision, around, self.positions, [*demos, *passed])
-        self.notes = (*self.clear.notes, *self._contradicted(around), *self.notes)
+        self.notes = (*self.clear.notes, *self._contradictions(around), *self.notes)
 
         check_inside(robot, self.positions)
         if (touching := self.clear.nearest_contact(self.positions, distance=0.0)) is not None:
@@ -353,7 +353,7 @@ class _Problem:
                 + (f", or correct {other!r} in the scene" if other in self.clear.around.names else "")
             )
 
-    def _contradicted(self, around: Surroundings) -> Iterator[str]:
+    def _contradictions(self, around: Surroundings) -> Iterator[str]:
         """Yield contradictions between the recordings and the given scene, in sentences."""
         stated, deepest = set(around.names) - around.assumed, dict[str, tuple[float, str]]()
         for take in self.takes if stated else ():
@@ -384,7 +384,7 @@ class _Problem:
             name = "the arm as it stands" if one.take is None else one.take.name
             report(f"following {name}", 0.2 + 0.6 * compared / (len(self.takes) + 1))
             clear = self.clear.for_grasps(one.path[:1])
-            if clear.is_path_clear(one.path) and (result := self._tried(one, clear, compared + 1)) is not None:
+            if clear.is_path_clear(one.path) and (result := self._simulate(one, clear, compared + 1)) is not None:
                 return result
         return None
 
@@ -411,21 +411,21 @@ class _Problem:
             marches = self.marches(number)
             choices = marches.choices(len(self.stations) - 1)
             clear = self.clear.for_grasps(marches.q[choices, 0])
-            for one in islice(self._relaxed(marches, choices, clear), n_simulated):
+            for one in islice(self._relaxed_paths(marches, choices, clear), n_simulated):
                 report("simulating the best of them", 0.3 + 0.4 * share)
-                if (result := self._tried(one, clear, len(choices))) is None:
+                if (result := self._simulate(one, clear, len(choices))) is None:
                     continue
                 report("planned", 1.0)
                 if np.array_equal(one.path[0], self.positions) or self.stations.grasps_as_shown(one.path[:1])[0]:
                     return result
                 note = "the orientation of the grasp differs from the demonstrations: with theirs no plan was found"
                 return replace(result, notes=(*result.notes, note))
-        if self.missing is not None:
-            raise self.missing
+        if self.missing_extra is not None:
+            raise self.missing_extra
         report("looking for what would help", 0.9)
         raise self.refusal(marches, candidates)
 
-    def _relaxed(
+    def _relaxed_paths(
         self, marches: ways.PathCandidates, choices: Int[np.ndarray, " k"], clear: Clearance
     ) -> Iterator[ways.Candidate]:
         """Yield clear marches; relaxed if the result is also clear and grasps with the same orientation."""
@@ -435,7 +435,7 @@ class _Problem:
         for march, stands in zip(choices.tolist(), marches.begin_at_start(choices).tolist(), strict=True):
             path = marches.q[march]
             if not clear.is_path_clear(path) or (
-                self.vain >= most_failures and not clear.is_line_clear(self.positions, path[0])
+                self.failures >= most_failures and not clear.is_line_clear(self.positions, path[0])
             ):
                 continue
             better = ways.relax(self.stations, path, pinned=stands)
@@ -443,7 +443,7 @@ class _Problem:
                 path = better
             yield ways.Candidate(self.motion, self.stations, path)
 
-    def _tried(self, one: ways.Candidate, clear: Clearance, compared: int) -> Plan | None:
+    def _simulate(self, one: ways.Candidate, clear: Clearance, compared: int) -> Plan | None:
         """Simulate a candidate with clear postures; return None if it has no approach or does not complete."""
         # factor of the shortest duration, so that feedback has some speed to spare; postures checked for `around`
         spare, n_checked = 1.1, 60
@@ -491,8 +491,8 @@ class _Problem:
             if result := approach(hold, self.start, self.rows, self.limits, clear, self.seed, self.dt, knots):
                 return result
         except MissingExtraError as error:  # straight motions to other postures may be clear
-            self.missing = error
-        self.vain, self.unreached = self.vain + 1, clear.first_contact(self.positions, hold)
+            self.missing_extra = error
+        self.failures, self.contact = self.failures + 1, clear.first_contact(self.positions, hold)
         return None
 
     def _law(self, motion: FreeDirection, time: Float[np.ndarray, " k"], path: Postures) -> ResolvedRateController:
@@ -517,9 +517,13 @@ class _Problem:
         holding = self.clear.for_grasps(marches.q[np.isfinite(marches.least[:, 0]), 0])
         clear = marches.where(holding)
         end, last, largest, posture = len(self.stations) - 1, clear.reached, 0.0, None
-        stopped_by, pair, helps = self._stopped_by(marches), self.unreached if last == end else None, tuple[str, ...]()
+        stopped_by, pair, helps = (
+            self._limiting_cause(marches),
+            self.contact if last == end else None,
+            tuple[str, ...](),
+        )
         if last < marches.reached == end:
-            pair, helps = self._in_the_way(marches.q[marches.choices(end)[0]], holding)
+            pair, helps = self._blocking_pair(marches.q[marches.choices(end)[0]], holding)
         free = self.stations.with_rows(np.eye(6)[:3])
         if self.stations.holds_orientation and self.marches(candidates // 2, free).reached == end:
             helps += ("a hand that is free to rotate could complete it",)
@@ -533,7 +537,7 @@ class _Problem:
         text = f"no plan for {requested}: {most} at most, stopped by {stopped_by}{more}"
         return NoPlanError(text, largest=abs(largest), posture=posture, stopped_by=stopped_by, helps=helps)
 
-    def _in_the_way(self, path: Postures, clear: Clearance) -> tuple[tuple[str, str] | None, tuple[str, ...]]:
+    def _blocking_pair(self, path: Postures, clear: Clearance) -> tuple[tuple[str, str] | None, tuple[str, ...]]:
         """Return the pair in deepest contact on a path, and possible remedies."""
         pairs = [pair for q in path if (pair := clear.nearest_contact(q)) is not None]
         deepest = min(pairs, key=lambda pair: pair.distance, default=None)
@@ -542,7 +546,7 @@ class _Problem:
         (link, thing), depth = deepest.links, np.ceil(1e2 * (CLEARANCE - deepest.distance)) / 1e2
         return deepest.links, (f"the {thing} {depth:.2f} m further from {link} would leave enough room",)
 
-    def _stopped_by(self, marches: ways.PathCandidates) -> str:
+    def _limiting_cause(self, marches: ways.PathCandidates) -> str:
         """Return the limit that stops the marches that come farthest, in words."""
         last = marches.reached
         if last < 0:

@@ -188,27 +188,27 @@ def repeat(
     if (transform := moved if fixture_transform is None else fixture_transform) is not None:
         skill = skill.moved(_check_rigid(transform))
     q, report = robot.checked_posture(start), progress or (lambda _title, _share: None)
-    again = _SkillRun(skill, q, _limit_tip_speed(limits or Limits(robot), tip_speed, skill, q), dt, seed, scene)
-    again.notes = [*skill.constraints[0].notes, *skill.notes]
+    run = _SkillRun(skill, q, _limit_tip_speed(limits or Limits(robot), tip_speed, skill, q), dt, seed, scene)
+    run.notes = [*skill.constraints[0].notes, *skill.notes]
     warnings = [str(doubt) for constraint in skill.constraints for doubt in constraint.provenance.get("warnings") or ()]
     if doubts := list(dict.fromkeys(warnings)):  # warnings about all recordings are repeated in each constraint
         count = counted(len(doubts), "warning")
-        again.notes.append(f"learnt with {count}, read them before an arm moves: {'; '.join(doubts)}")
+        run.notes.append(f"learnt with {count}, read them before an arm moves: {'; '.join(doubts)}")
     if prefer == "shown" and not any(step.takes for step in skill.steps):
-        again.notes.append("this task contains no recordings: the grasp configuration of each motion is searched")
+        run.notes.append("this task contains no recordings: the grasp configuration of each motion is searched")
     for number, step in enumerate(skill.steps):
         name = _name(number, step, skill)
         report(name, number / len(skill.steps))
         if step.kind == "way":
             followed = replace(step, takes=step.takes if prefer == "shown" else ())
-            again.way(followed, name, lambda title, share, k=number: report(title, (k + share) / len(skill.steps)))
+            run.move(followed, name, lambda title, share, k=number: report(title, (k + share) / len(skill.steps)))
         else:
             if step.gripper is not None:
-                again.grip(step, name, 0.0 if again.whole is None else again.whole.manipulability[-1])
+                run.grip(step, name, 0.0 if run.whole is None else run.whole.manipulability[-1])
             if step.place is not None:  # the plan of a motion includes its approach
-                again.retreat(np.asarray(step.place), name)
+                run.retreat(np.asarray(step.place), name)
     report("done", 1.0)
-    return again.repetition()
+    return run.repetition()
 
 
 def _limit_tip_speed(limits: Limits, tip_speed: TipSpeed, skill: Skill, q: Float[np.ndarray, " n"]) -> Limits:
@@ -292,7 +292,7 @@ class _SkillRun:
         phases = ((f"{name}: {step.gripper}", 0.0, float(rollout.time[-1])),)
         self.add(law, replace(rollout, phases=phases, manipulability=np.full(len(rollout), mu)))
 
-    def way(self, step: Step, name: str, report: Progress) -> None:
+    def move(self, step: Step, name: str, report: Progress) -> None:
         """Perform one motion along the learnt constraint, with its approach and grasp, as demonstrated in this step.
 
         Args:
@@ -354,7 +354,7 @@ class _SkillRun:
             return
         clear = Clearance(robot, True, last_plan.around, here, () if take is None else [*take.q[::CHECK_STEP]])
 
-        def brought(x: np.ndarray) -> np.ndarray:
+        def bring_hand(x: np.ndarray) -> np.ndarray:
             """Return a posture with the hand where the recordings ended, in the same orientation.
 
             Args:
@@ -367,8 +367,8 @@ class _SkillRun:
         if take is not None and features.relative_to is None:
             moving = [robot.moves(joint, hand.frame) for joint in robot.joint_names]
             after = nearest_turn(robot, carry_hand(hand, np.where(moving, take.after, here), take.moved), here)
-            knots = join_approach(after, here, brought(after[-1]))
-        rows, end, stopped = last.task.rows(last.constraint), brought(here), None  # rows of the last motion
+            knots = join_approach(after, here, bring_hand(after[-1]))
+        rows, end, stopped = last.task.rows(last.constraint), bring_hand(here), None  # rows of the last motion
         to = partial(approach, start=self.q, rows=rows, limits=limits, clear=clear, seed=self.seed, dt=self.dt)
         if (result := to(end, shown=knots)) is None:  # the hand stays where it has released
             stopped = " and ".join(clear.first_contact(here, end) or ("the arm", "something")) + ", which would collide"
