@@ -145,11 +145,11 @@ def plan(
         start: Configuration (nq,) before the motion.
         seed: Seed of the random postures: the same seed gives the same plan.
         candidates: Number of postures from which the search begins. With 2,000, the best margin of a drawer rises by
-            less than 0.01.
+            less than 0.01 (measured at ff412730).
         limits: Joint limits; None for the robot's own.
         collision: Pairs of links that must not touch; True for all of the robot's shapes, False for none.
-        scene: Obstacles; None for none. By default a floor under the base is assumed, below all postures of the
-            recordings and of the start.
+        scene: Obstacles; None for no obstacles. By default a floor under the base is assumed, below all
+            postures of the recordings and of the start.
         dt: Step of the simulation [s].
         progress: As for `simulate`.
         takes: Recordings of this motion, see `Step.takes`: the first feasible one is followed; then nothing is
@@ -266,7 +266,7 @@ class PathPolicy(NullSpacePolicy):
 
         Args:
             q: Configuration (nq,).
-            t: Time since the start of the controller [s].
+            t: Time on the clock of the controller [s].
 
         Raises:
             ConfigurationError: q has the wrong size or is not finite.

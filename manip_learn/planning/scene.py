@@ -200,7 +200,7 @@ class Scene:
     def obstacles(self, robot: Robot) -> tuple[Obstacle, ...]:
         """Return the obstacles for collision checks; the floor is a large box below.
 
-        The base link may touch the floor, and an obstacle at the origin of the base.
+        The base, and the links on its first joint, may touch the floor, and an obstacle at the origin of the base.
 
         Args:
             robot: The robot.

@@ -48,7 +48,7 @@ class Stations:
         unit: Unit of distances, `"m"` or `"rad"`.
         time: Times (L,) since the motion began [s].
         distance: Distances (L,) along the motion [m or rad].
-        places: Positions (L, 3) of the hand's origin in the base frame [m].
+        places: Positions (L, 3) of the hand's origin, as `hand` gives them [m].
         turns: Rotations (L, 3, 3) of the hand since the motion began, in the base frame.
         rows: Weights (L, s, 6) of the hand's twist (v, w) in the held and driven rows.
         grasp: Orientation (3, 3) of the hand at the start; it matters if a row constrains a rotation.
@@ -192,8 +192,8 @@ def solve_ik(
         hand: Pose and twist of the hand, see `FeatureMap.twist`.
         robot: The robot.
         q: Postures (n, nv) from which the iteration begins [rad or m].
-        places: Positions (n, 3) of the hand in the base frame [m].
-        turns: Orientations (n, 3, 3) of the hand in the base frame; None if no row constrains a rotation.
+        places: Positions (n, 3) of the hand, as `hand` gives them [m].
+        turns: Orientations (n, 3, 3) of the hand; None if no row constrains a rotation.
         rows: Weights (n, s, 6) of the twist (v, w).
         steps: Largest number of Newton steps.
 

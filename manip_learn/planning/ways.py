@@ -1,8 +1,8 @@
 """Joint paths through the stations of a hand's motion: from recordings, and from a search.
 
-A demonstrated grasp, configuration and approach are feasible, and familiar to people. Recordings whose
-grasp is nearest to the start come first; the first with enough margin is followed, else the one with the largest. The
-search finds larger margins:
+A demonstrated grasp, configuration and approach are feasible, and familiar to people. Recordings whose grasp is nearest
+to the start come first; the first with enough margin is followed, else the one with the largest. The search finds
+larger margins:
 
 1. Seeds: inverse kinematics from the start, from postures near it, and from random postures at three stations.
 2. Marches: each seed is propagated along the motion in both directions, without null-space motion. The march with the
@@ -71,7 +71,7 @@ def demonstrated_grasps(takes: Sequence[Take], shown: Shown, features: Any) -> l
         features: Feature map of the hand.
 
     Returns:
-        Poses (4, 4) in the base frame [m].
+        Poses (4, 4), as the features give them [m].
     """
     twist, mechanism = features.twist, shown.mechanism
     grasps = [take.moved @ twist.poses(take.along[:1])[0] for take in takes]
