@@ -138,7 +138,7 @@ def test_units_are_printed_with_their_numbers(held: ml.Constraint, rollout: ml.R
         (
             dataclasses.replace(way, **turned),
             "moved 90.0 of 180.0 degrees",
-            "time - |strayed 3.5 mm from what",
+            "time - |deviated 3.5 mm from",
         ),
     ):
         told = outcome(held, rollout, 0.01, done)
