@@ -368,15 +368,12 @@ def _answer_parts(
         out.unlearnt += [(s, "a constraint in several recordings that could not be learnt") for s in spans]
     tasks = [{s.recording for s in a.stretches} for a in out.answers]
     if len(tasks) > 1 and not set.intersection(*tasks):
-        numbers = " and ".join(counted(len(t), "recording") for t in tasks)
-        out.warnings.append(
-            f"the recordings show {len(tasks)} tasks, {numbers}: each constraint is learnt from its own"
-        )
+        sizes = " and ".join(counted(len(t), "recording") for t in tasks)
+        out.warnings.append(f"the recordings show {len(tasks)} tasks, {sizes}: each constraint is learnt from its own")
     for i, (a, b) in enumerate(pairwise(out.answers), 1):
         if (angle := angle_between(a, b)) < 2.0 * SAME:
-            out.warnings.append(
-                f"constraints {i} and {i + 1} differ by {np.degrees(angle):.1f} deg only: kept apart, not averaged"
-            )
+            difference = f"constraints {i} and {i + 1} differ by {np.degrees(angle):.1f} deg only"
+            out.warnings.append(f"{difference}: kept apart, not averaged")
     _report_outliers(out, table)
     used = [s for a in out.answers for s in a.stretches] + [s for s, _ in out.unlearnt]
     if settings.phases and len(table.moved) > 1:
@@ -536,10 +533,7 @@ def _refusal(a: Answer, settings: Settings) -> NotIdentifiableError | None:
     is_supported = a.evidence.n_pieces < FEWEST or a.evidence.verdict(a.s) == "clear"
     soft = a.gap < CLEAR_GAP and not is_at_one_place(a.fit)
     if a.gap < WEAK_GAP:
-        why, code = (
-            f"no clear constraint: the gap is {a.gap:.2g} for {rows}, at least {WEAK_GAP:g} is needed",
-            "weak-gap",
-        )
+        why, code = f"no clear constraint: the gap is {a.gap:.2g} for {rows}, {WEAK_GAP:g} is needed", "weak-gap"
     elif a.over_noise > OVER_NOISE and (soft or (not is_supported and a.gap < 2.0 * CLEAR_GAP)):
         why = f"{rows} would be soft (gap {a.gap:.2g}), at a different place in each recording, as in free motion"
     elif a.contradiction:

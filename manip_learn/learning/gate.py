@@ -158,12 +158,11 @@ def recombination_test(
         choices: Number of hypotheses among which this one was selected (Bonferroni).
         believed: Smallest accepted lower bound of a strength.
     """
-    # smaller levels may be interpolation errors; normal quantile of a decision between more and no more recombinations
-    floor, sure = 1e-5, NormalDist().inv_cdf(0.995)
-    # number of recombinations at first, and largest number if the result is not decided
-    n_first, n_last = 199, 3184
     # largest number of phase bins, duration of a bin [s], and largest number of pieces. Set by hand
     max_bins, bin_seconds, max_pieces = 24, 0.25, 16
+    # number of recombinations at first, and largest number if the result is not decided; smaller levels may be
+    # interpolation errors; normal quantile of that decision
+    n_first, n_last, floor, sure = 199, 3184, 1e-5, NormalDist().inv_cdf(0.995)
     rng, none = np.random.default_rng(seed), np.zeros(0)
     pieces = [t for t in pieces if len(t) > 2 and np.any(t.u)]
     if len(pieces) > max_pieces:

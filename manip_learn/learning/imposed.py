@@ -595,9 +595,9 @@ def separate_null_motion(view: View, seed: int) -> np.ndarray | NotIdentifiableE
     Returns:
         Array (n, nv); or a refusal.
     """
-    # least singular value of the regressors, relative to the largest; relative gain at which a stage ends
-    stages = ((1e-6, 1e-3), (1e-8, 1e-3), (1e-10, 1e-9))
-    fewest = 4  # least number of radial functions
+    # least number of radial functions; for each stage, the least singular value of the regressors, relative to the
+    # largest, and the relative gain at which the stage ends
+    fewest, stages = 4, ((1e-6, 1e-3), (1e-8, 1e-3), (1e-10, 1e-9))
     u, n = view.table.u, min(MOST_CENTRES, len(view.table.q) // SAMPLES_PER_CENTRE)
     if n < fewest:
         why = f"{len(u)} samples are too few to separate task and null-space part: "
