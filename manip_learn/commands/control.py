@@ -75,7 +75,7 @@ def control(options: ControlOptions, progress: Progress) -> Answer:
     constraint, robot = load_constraint(options.robot, options.constraint, options)
     named_way = options.along is not None or options.turn is not None
     if target is not None and named_way:
-        raise TargetError("--target names a point, --along and --turn a distance: give only one of them")
+        raise TargetError("--target names a point, --along and --turn a distance: give one of them")
     moves = named_way or (target is None and (constraint.shown is not None or direction is not None))
     if options.rows not in ("all", "held"):
         raise TargetError(f"--rows must be all or held, not {options.rows!r}")
