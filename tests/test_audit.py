@@ -136,7 +136,7 @@ def test_what_an_audit_cannot_tell_is_said(
     imposed = ml.Constraint(OTHER, features, {"kind": "self-imposed"})
     report = ml.audit_episodes(imposed, demos)
     assert not {"violation", "displacement", "rotation"} & set(report.criteria)
-    assert any("on purpose" in note for note in report.notes)
+    assert any("demonstrator drives" in note for note in report.notes)
     few = ml.audit_episodes(constraint, demos[:4])
     assert few.leave_out == () and few.threshold == np.inf and any("too few" in note for note in few.notes)
     assert 3.5 <= ml.audit_episodes(imposed, demos, false_alarms=0.9).threshold < report.threshold

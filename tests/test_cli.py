@@ -269,7 +269,7 @@ def test_help_has_headings(run, monkeypatch):
     monkeypatch.setenv("COLUMNS", "60")
     (_, short, _), (code, out, _) = run("learn", "--help"), run("learn", "--help-all")
     assert code == 0 and max(map(len, (short + out).splitlines())) <= 60
-    first, others = short.split("--help-all explains also")
+    first, others = short.split("--help-all also explains")
     assert "  --frame " in first and "--lock" not in first and "--lock," in others and "--frame" not in others
     assert others.split() and all(f"  {flag} " in out for flag in others.replace(",", "").split())
     headings = [line for line in out.splitlines() if line.endswith(":") and line[0] != " "]

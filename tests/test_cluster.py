@@ -16,7 +16,7 @@ from scale_motions import motions
 import manip_learn as ml
 from manip_learn.cli import main
 from manip_learn.errors import ManipLearnError, MissingExtraError, RecordingError
-from manip_learn.learning.table import dask_client, each_part
+from manip_learn.learning.table import dask_client, map_parts
 from manip_learn.linalg import orthonormal_rows
 from manip_learn.recordings import load as trajectory_source
 
@@ -102,7 +102,7 @@ def test_errors_of_workers_come_back(client, features, source, tmp_path):
     settings = {"distributed.scheduler.allowed-failures": 0}
     with pytest.raises(ManipLearnError, match="is there enough memory"), dask.config.set(settings):
         with dask_client("local", 1) as frail:
-            list(each_part(os._exit, [1, 1], frail, None))
+            list(map_parts(os._exit, [1, 1], frail, None))
 
 
 def test_command_line(client, source, tmp_path, capsys):

@@ -16,9 +16,9 @@ from rich.console import Console
 from test_cli import DRAWER, FRAME
 
 import manip_learn as ml
-from manip_learn.commands.audit import described as audited
+from manip_learn.commands.audit import audit_answer as audited
 from manip_learn.commands.control import Aim, outcome
-from manip_learn.commands.learn import described, fit
+from manip_learn.commands.learn import fit, learning_answer
 from manip_learn.commands.options import LearnOptions
 from manip_learn.commands.output import Answer, cells
 from manip_learn.commands.tables import Glossary, show, table_of
@@ -105,7 +105,7 @@ def test_learning_explains_its_words(learner: ml.ConstraintLearner) -> None:
     """A number has its scale beside it, and --explain says what the words mean, each once; an uncertainty beyond any
     angle is said in words.
     """
-    answer = described(learner.constraints_, learner.reports_)
+    answer = learning_answer(learner.constraints_, learner.reports_)
     text = in_line(60, answer)
     assert text.startswith("A straight line (a drawer), moved 0.") and "direction known to 0.1" in text
     report, held = learner.report_, [row for row in learner.report_.row_evidence if row.state == "held"]
@@ -120,7 +120,7 @@ def test_learning_explains_its_words(learner: ml.ConstraintLearner) -> None:
     assert found is not None
     lost = dataclasses.replace(found, uncertainty={**found.uncertainty, "axis": 1600.0})
     weak = dataclasses.replace(report, gap=9.94, held_out_residual=9e-6, mechanism=lost, uncertainty_deg=None)
-    weakly = in_line(60, described(learner.constraints_, [weak]))
+    weakly = in_line(60, learning_answer(learner.constraints_, [weak]))
     assert "gap 9.9 (weak: 10 is clear)" in weakly and "left out less than 0.001 % of the motion" in weakly
     assert "direction not determined" in weakly and "1.6e+03" not in weakly and "1600" not in weakly
     at_length = in_line(60, answer, explain=True)
@@ -138,7 +138,7 @@ def test_units_are_printed_with_their_numbers(held: ml.Constraint, rollout: ml.R
         (
             dataclasses.replace(way, **turned),
             "moved 90.0 of 180.0 degrees",
-            "time - |strayed 3.5 mm from what",
+            "time - |deviated 3.5 mm from",
         ),
     ):
         told = outcome(held, rollout, 0.01, done)
@@ -167,7 +167,7 @@ def test_what_keeps_a_rollout_from_its_goal_is_said(held: ml.Constraint, rollout
     aimed = outcome(held, rollout, 0.01, aim=aim)
     assert aimed.title == "0.125 off along the held rows, 0.25 m from the point" and not aimed.content["reached"]
     text = printed(200, aimed)
-    assert "the hand moved 0.02 along what the recordings show to be blocked" in text
+    assert "the hand moved 0.02 along directions that the recordings show to be blocked" in text
     assert "--rows held leaves x, rz of the target free" in text
     beside = outcome(held, rollout, 0.01, aim=aim._replace(off=0.01, distance=None))
     assert beside.title == "where the held rows are to be, 0.3 from the target"

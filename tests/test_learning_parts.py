@@ -56,7 +56,7 @@ def test_what_is_too_little_or_too_odd_to_learn_from(rng):
     """An outlier is 1e4 times as far as the usual; too few different moving samples, one joint, and no motion."""
 
     def said(q: np.ndarray, u: np.ndarray, r: int, asked: int | None = None) -> NotIdentifiableError | None:
-        return table.unusable(Table(quarters(q, u)), r, asked)
+        return table.table_refusal(Table(quarters(q, u)), r, asked)
 
     u, far = rng.standard_normal((2, 40, 4))
     middle = np.median(far, axis=0)
@@ -100,7 +100,7 @@ def test_columns_of_the_fit_are_derivatives():
         off = [replace(t, q=t.q + zeros) for t in moved.view.table.moved]
         shifted = View(moved.view.features, Table(off))
         y = shifted.y @ np.linalg.solve(shifted.W.T, moved.view.W.T)
-        return fit.without_constants(np.einsum("nai,ni->na", fit.root, y @ rows.T)[:, :, None])[:, :, 0]
+        return fit.centre(np.einsum("nai,ni->na", fit.root, y @ rows.T)[:, :, None])[:, :, 0]
 
     steps = [(B.reshape(2, -1) @ fit.perp, np.zeros(nv)) for B in np.eye(fit.m)]
     steps += [(np.zeros_like(true), delta) for delta in np.eye(nv)]

@@ -8,7 +8,7 @@ from generated_motions import arm_features, guided_motions, oblique, random_post
 from task_sets import moving
 
 import manip_learn as ml
-from manip_learn.learning.gate import Evidence, recombined
+from manip_learn.learning.gate import Evidence, recombination_test
 
 
 def states(found: Evidence) -> list[str]:
@@ -36,7 +36,7 @@ def test_free_motion_is_never_called_held_for_certain(kind):
     """Nothing holds the arm, however it is moved: no set of five demonstrations may give a clear answer."""
     for axes, seed in (("xyz", 0), ("pose", 1)):
         features, demos, _ = moving(kind, "sawyer", seed, 5)
-        found = recombined(ml.FrameJacobian(features.robot, features.frame.name, axes), demos, seed)
+        found = recombination_test(ml.FrameJacobian(features.robot, features.frame.name, axes), demos, seed)
         assert verdict(found) != "clear", (axes, seed, found)
 
 
@@ -47,7 +47,7 @@ def test_chance_finds_a_row_as_rarely_as_its_p_value_says():
         rng = np.random.default_rng(seed)
         start = random_posture(features.robot, rng, 0.2)
         made = [wandering(7, rng) for _ in range(5)]
-        p.append(recombined(features, [ml.Trajectory(t.time, start + t.q, t.u) for t in made], seed).chances[0])
+        p.append(recombination_test(features, [ml.Trajectory(t.time, start + t.q, t.u) for t in made], seed).chances[0])
     assert np.count_nonzero(np.array(p) <= 0.2) <= 16  # of 40, 8 expected: chance of more 0.2 %
     assert np.median(p) > 0.2
 
@@ -58,21 +58,21 @@ def test_held_rows_are_counted_and_clear():
     rows and says so.
     """
     for s in (1, 2):
-        found = recombined(*held_motions(s, 0))
+        found = recombination_test(*held_motions(s, 0))
         assert (found.n_rows, verdict(found)) == (s, "clear"), found
         assert states(found) == ["held"] * s + ["free"] * (3 - s)
     for n in (1, 2):
-        found = recombined(*held_motions(2, 10, n, noise=0.0))
+        found = recombination_test(*held_motions(2, 10, n, noise=0.0))
         assert (found.n_rows, verdict(found)) == (2, "weak") and "too few to be sure" in found.sentence()
     features, trajectories = held_motions(2, 11, 6)
     joints, q = features.robot.joint_names, trajectories[0].q
     still = ml.Trajectory(np.arange(50.0), q[:50], np.zeros((50, 7)), joints)
     single = ml.Trajectory(np.zeros(1), q[:1], np.ones((1, 7)), joints)
     uneven = [t.part(slice(0, 30 + 14 * i)) for i, t in enumerate(trajectories)]
-    found = recombined(features, [still, *uneven, single])
+    found = recombination_test(features, [still, *uneven, single])
     assert (found.n_rows, found.n_pieces) == (2, 6)
     for nothing in ([], [still, still, still]):
-        empty = recombined(features, nothing)
+        empty = recombination_test(features, nothing)
         assert (empty.n_rows, verdict(empty)) == (0, "none") and "do not move" in empty.sentence()
 
 

@@ -15,8 +15,8 @@ from mechanism_motions import about, demonstrate
 
 import manip_learn as ml
 from manip_learn.constraint.features.mechanism_rows import PlaceRows
-from manip_learn.learning.fit import Motion, RowFit, changes_by_links, errors_of
-from manip_learn.learning.place import placed
+from manip_learn.learning.fit import Motion, RowFit, draw_errors, link_error_changes
+from manip_learn.learning.place import locate
 from manip_learn.learning.report import JOINT_ZEROS, NOISE, PARTS, POLICY
 from manip_learn.learning.table import ArmErrors, Settings, Stretch, Table, View
 from manip_learn.linalg import orthonormal_rows
@@ -109,7 +109,7 @@ def test_links_change_the_rates_of_rows(make, rng):
     """
     robot = arm_features().robot
     tip, q, u = robot.frame("right_gripper_tip"), rng.uniform(-1.0, 1.0, (3, 7)), rng.standard_normal((3, 7))
-    changes = changes_by_links(make(robot), q, u)
+    changes = link_error_changes(make(robot), q, u)
     joints, size = [*robot.pinocchio_model.supports[tip.parent_joint]][2:], 1e-6
     assert changes.shape[2] == 6 * (len(joints) + 1)
     for number in range(changes.shape[2]):
@@ -126,7 +126,7 @@ def test_links_change_the_rates_of_rows(make, rng):
             rates.append(make(ml.Robot(model, mimics=robot.mimics)).batch(q) @ u[:, :, None])
         assert np.abs((rates[0] - rates[1]) / (2.0 * size) - changes[..., number, None]).max() < 1e-7
     own = ml.CustomFeatures(lambda q: np.eye(3) * q[0], "abc", 3)
-    assert changes_by_links(own, np.ones((2, 3)), np.ones((2, 3))).shape == (2, 3, 0)
+    assert link_error_changes(own, np.ones((2, 3)), np.ones((2, 3))).shape == (2, 3, 0)
 
 
 def fitted(demos, features: ml.FeatureMap, s: int = 2) -> tuple[View, RowFit]:
@@ -184,7 +184,7 @@ def place_of(robot: ml.Robot, kind: str, postures: list[np.ndarray]) -> tuple[Ro
     time = 0.02 * np.arange(len(postures[0]))
     demos = [ml.derive_velocities(ml.Trajectory(time, q, None, robot.joint_names), robot) for q in postures]
     _, fit = fitted(demos, PlaceRows(robot, TIP, form, robot.position(MIDDLE, TIP)), s)
-    found = placed(fit, errors_of(fit, ArmErrors(), np.random.default_rng(0)))
+    found = locate(fit, draw_errors(fit, ArmErrors(), np.random.default_rng(0)))
     assert found is not None and found.kind.name == kind
     return fit, found.mechanism
 

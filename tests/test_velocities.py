@@ -238,6 +238,6 @@ def test_positions_that_are_noise_are_no_motion() -> None:
     features, exact, _ = motions("planar3")
     rng = np.random.default_rng(SEED)
     still = [ml.Trajectory(t.time, t.q[:1] + 1e-4 * rng.normal(size=t.q.shape)) for t in exact]
-    with pytest.raises(NotIdentifiableError, match="farther than the noise of its positions") as refused:
+    with pytest.raises(NotIdentifiableError, match="further than its encoder noise") as refused:
         ml.ConstraintLearner(features).fit(still)
     assert refused.value.code == "no-motion"
