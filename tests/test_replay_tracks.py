@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pinocchio as pin
 import pytest
 from test_playback import data_in, unpacked
 
@@ -55,8 +56,8 @@ def rollout(robot_of, drawer) -> ml.Rollout:
     return ml.simulate(robot_of("sawyer"), controller, START, 1.0, 0.01)
 
 
-def test_the_fit_is_that_of_each_phase(drawer, rollout, shown):
-    """Within a phase its own constraint counts, outside the first; where none is known, or b != 0, there is no fit."""
+def test_fit_uses_the_constraint_of_each_phase(drawer, rollout, shown):
+    """Within a phase its own constraint counts, outside the first; without one, or if b != 0, there is no fit."""
     robot = drawer.features.robot
     demo = ml.Trajectory(rollout.time, rollout.q, rollout.u, robot.joint_names, "demo")
     other = ml.Constraint([[1.0, 0.0, 0.0]], drawer.features)
@@ -70,8 +71,7 @@ def test_the_fit_is_that_of_each_phase(drawer, rollout, shown):
             A, u = (other if 0.4 <= t <= 0.6 else drawer)(rollout.q[i]), rollout.u[i]
             assert share == pytest.approx(np.linalg.norm(np.linalg.pinv(A) @ A @ u) / np.linalg.norm(u), rel=1e-5)
     imposed = ml.Constraint(drawer.selection, drawer.features, {"kind": "self-imposed"})
-    page = shown(robot, demo, constraint=imposed)
-    assert "fit" not in [t["kind"] for t in page["measures"]["tracks"]]
+    assert "fit" not in [track["kind"] for track in shown(robot, demo, constraint=imposed)["measures"]["tracks"]]
 
 
 def test_recordings_without_velocities_show_derived_ones(robot_of, rollout, shown):
@@ -86,37 +86,33 @@ def test_recordings_without_velocities_show_derived_ones(robot_of, rollout, show
     assert [t["kind"] for t in page["measures"]["tracks"]] == ["position"]
 
 
-def ranks(directions) -> list[int]:
-    """How many directions are held, free, held in turning, free in turning."""
-    names = "held", "free", "held_turns", "free_turns"
-    return [round(float(np.trace(np.atleast_3d(getattr(directions, n)).reshape(-1, 3, 3)[0]))) for n in names]
-
-
 def test_directions_held_and_free(robot_of):
-    """A drawer, a surface, rows along the hand's own axes, a plane robot, and rows that turn as they move."""
+    """A drawer, rows along the hand's own axes, a plane robot, rows that turn as they move, and relative motion."""
     robot, planar = robot_of("sawyer"), robot_of("planar3")
     hand, seen_from = robot.frame("right_hand"), robot.frame("right_l2")
     here = robot.position(START, hand)[None]
     xyz, local, pose = (ml.FrameJacobian(robot, hand, *axes) for axes in (("xyz",), ("xyz", "local"), ("pose",)))
     about_x = MechanismRows(robot, "right_hand", "turn", axis=[1.0, 0.0, 0.0], point=[0.0, 0.0, 0.0])
-    leaks = [np.array([[1.0, 0, 0, 0, turn, 0]]) / np.hypot(1.0, turn) for turn in (0.09, 0.11)]
     x, z = np.diag([1.0, 0.0, 0.0]), np.diag([0.0, 0.0, 1.0])
     for rows, features, expected, axes, exact in (
         ([[0, 1, 0], [0, 0, 1]], xyz, [2, 1, 0, 0], None, {"free": x}),
         ([[0, 0, 1]], local, [1, 2, 0, 0], hand, {}),
         (np.eye(6)[[2, 3, 4]], pose, [1, 2, 2, 1], None, {"free_turns": z}),
-        # moving along x alone breaks it only without the turn that goes with it
-        ([[1, 0, 0, 0, 1, 0]], pose, [0, 3, 0, 3], None, {}),
-        (leaks[0], pose, [1, 2, 0, 3], None, {}),  # a learnt row leaks by its uncertainty
-        (leaks[1], pose, [0, 3, 0, 3], None, {}),
+        # a learnt row leaks by its uncertainty; with more, motion along x alone breaks it only without its rotation
+        ([[1, 0, 0, 0, 0.09, 0]], pose, [1, 2, 0, 3], None, {}),
+        ([[1, 0, 0, 0, 0.11, 0]], pose, [0, 3, 0, 3], None, {}),
         ([[1.0]], about_x, [0, 3, 1, 2], None, {"held_turns": x}),
         (np.eye(3)[:1], ml.FrameJacobian(planar, "tip", "planar"), [1, 1, 0, 1], None, {}),
         ([[0, 0, 1]], RelativeFrameJacobian(robot, hand, seen_from, "xyz"), [1, 2, 0, 0], seen_from, {}),
     ):
-        found = held_directions(ml.Constraint(rows, features), here)
-        assert ranks(found) == expected and found.axes == axes, (rows, features)
+        rows = np.array(rows, dtype=float)
+        rows /= np.linalg.norm(rows, axis=1, keepdims=True)
+        directions = held_directions(ml.Constraint(rows, features), here)
+        names = "held", "free", "held_turns", "free_turns"
+        projectors = {name: np.reshape(getattr(directions, name), (-1, 3, 3))[0] for name in names}
+        assert [round(np.trace(P)) for P in projectors.values()] == expected and directions.axes == axes, rows
         for name, matrix in exact.items():
-            np.testing.assert_allclose(np.reshape(getattr(found, name), (-1, 3, 3))[0], matrix, atol=1e-12)
+            np.testing.assert_allclose(projectors[name], matrix, atol=1e-12)
 
 
 @pytest.mark.parametrize("rows", ["radial axial", "turn-1 turn-2 slide-1 slide-2 slide"])
@@ -138,33 +134,29 @@ def test_a_hinge_leaves_its_tangent_free_everywhere(robot_of, rows):
 
 
 def test_the_target_is_where_the_task_wants_the_tip(drawer, rollout, shown, tmp_path):
-    """From the rollout's file, from the argument, along the rows, as a pose, seen from a frame that moves."""
+    """It comes from the rollout's file or the argument: a place, a pose, values of the rows, or in a moving frame."""
     robot = drawer.features.robot
     saved = ml.Rollout.load(rollout.save(tmp_path / "r.npz"), robot)
-    target = lambda **given: shown(robot, saved, **given)["marks"][0]["target"]  # noqa: E731
-    assert target() == {"carrier": None, "point": pytest.approx(TARGET)}
-    pose = np.eye(4)
-    pose[:3, 3] = 0.4, 0.5, 0.6
-    assert target(target=[0.1, 0.2, 0.3])["point"] == [0.1, 0.2, 0.3] and target(target=pose)["point"] == [
-        0.4,
-        0.5,
-        0.6,
-    ]
+    target_of = lambda **given: shown(robot, saved, **given)["marks"][0]["target"]  # noqa: E731
+    assert target_of() == {"carrier": None, "point": pytest.approx(TARGET)}
+    pose = pin.SE3(np.eye(3), np.array([0.4, 0.5, 0.6])).homogeneous
+    for given, point in (([0.1, 0.2, 0.3], [0.1, 0.2, 0.3]), (pose, [0.4, 0.5, 0.6])):
+        assert target_of(target=given)["point"] == point
     rows = drawer.selection @ np.array(TARGET)
-    point = np.array(target(target=rows)["point"])
+    point = np.array(target_of(target=rows)["point"])
     np.testing.assert_allclose(drawer.selection @ point, rows, atol=1e-12)
     along, start = np.linalg.svd(drawer.selection)[2][2], robot.position(rollout.q[0], drawer.features.frame)
-    assert along @ point == pytest.approx(along @ start)  # nothing is said of what is free
+    assert along @ point == pytest.approx(along @ start)  # the free direction keeps its start
     seen = ml.Constraint(np.eye(3), RelativeFrameJacobian(robot, "right_gripper_tip", "right_l2", "xyz"))
-    carried = target(constraint=seen, target=[0.1, 0.0, 0.2])
+    carried = target_of(constraint=seen, target=[0.1, 0.0, 0.2])
     assert carried["point"] == [0.1, 0.0, 0.2] and carried["carrier"]["joint"] == robot.frame("right_l2").parent_joint
     for wrong in ("here", [np.nan, 0, 0]):
         with pytest.raises(TargetError, match="target to show"):
-            target(target=wrong)
+            target_of(target=wrong)
 
 
 def test_a_rollout_shows_its_own_constraint_and_mechanism(drawer, tmp_path):
-    """Also from its file; the evidence that its constraint keeps is in the page, and its frame is drawn."""
+    """The evidence, mechanism and frame that a rollout's constraint keeps are in the page, also from its file."""
     robot = drawer.features.robot
     line = {"type": "line", "axis": [0.91, 0.42, 0.0], "point": [0.6, 0.2, 0.3], "sentence": "a line"}
     learnt = {"kind": "motion-constrained", "sentence": "moves freely", "facts": {"gap": "12"}, "mechanism": line}
@@ -196,23 +188,17 @@ def test_a_rollout_that_waits_is_ok_and_keeps_its_tracks(robot_of, rollout, tmp_
 
 
 def test_evidence_in_words():
-    """The report's own facts; rows with their verdicts; what is missing or damaged is left out."""
-    report = {
-        "sentence": "s", "kind": "motion-constrained", "facts": {"gap": "3,940 (10 is clear)"},
-        "row_evidence": [{"strength": 261.0, "p_value": 0.005, "state": "held"},
-                         {"strength": 2e7, "p_value": None, "state": "untried"}],
-        "evidence": "2 rows held", "warnings": ["w"], "odd_trajectories": [["a.csv", "moves 3 mm"]],
-    }  # fmt: skip
-    told = evidence_of(report)
-    assert told["facts"] == [["gap", "3,940 (10 is clear)"]]
-    assert told["rows"] == [
+    """The page has the report's facts, verdicts and warnings; missing or damaged parts are left out, long ones cut."""
+    rows = [{"strength": 261.0, "p_value": 0.005, "state": "held"}, {"strength": 2e7, "state": "untried"}]
+    evidence = evidence_of({"facts": {"gap": "3,940"}, "row_evidence": rows, "warnings": ["w"]})
+    assert evidence["facts"] == [["gap", "3,940"]] and evidence["warnings"] == ["w"] and evidence["kind"] == ""
+    assert evidence["rows"] == [
         ["row 1", "held", "261 times", "p = 0.005"],
         ["row 2", "not tried: nothing moved along it", "over a million times", ""],
     ]
-    assert told["odd"] == [["a.csv", "moves 3 mm"]] and told["warnings"] == ["w"] and told["kind"] == ""
     assert "b is not 0" in evidence_of({"kind": "self-imposed"})["kind"]
-    odd = {"facts": [3], "rows": 3, "row_evidence": "x", "warnings": None, "odd_trajectories": [3]}
-    assert evidence_of(odd)["facts"] == [] and evidence_of({})["headline"] == ""
+    damaged = {"facts": [3], "rows": 3, "row_evidence": "x", "warnings": None, "odd_trajectories": [3]}
+    assert evidence_of(damaged)["facts"] == [] and evidence_of({})["headline"] == ""
     long = evidence_of({"notes": ["x" * 3000] * 100, "odd_trajectories": [{"trajectory": "a", "reason": "b"}, ("c",)]})
     assert [len(note) for note in long["notes"]] == [2000] * 60 and long["odd"] == [["a", "b"]]
 
@@ -242,21 +228,25 @@ def in_the_axes(points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]
     return np.hypot(x, y), np.arctan2(y, x), arm @ AXIS
 
 
-def test_a_hinge_is_an_axis_and_a_circle() -> None:
-    """The circle lies in the middle of what was held; the axis is a quarter longer at each end, and 0.3 radii."""
+@pytest.mark.parametrize(("kind", "heights"), [("hinge", [0.1]), ("other", [-0.1, 0.3]), ("line", [])])
+def test_an_axis_is_longer_than_the_motion_and_circles_lie_on_it(kind: str, heights: list[float]) -> None:
+    """The axis is longer than the motion by a quarter at each end, and 0.3 radii. A hinge has a circle in the middle, a
+    cylinder has one at each end of the motion, a line has none.
+    """
     held = around(np.linspace(0.2, 1.2, 30), np.linspace(-0.1, 0.3, 30))
-    axis, circle = mechanism_drawing(described("hinge", radius=RADIUS), held).lines
+    axis, *circles = mechanism_drawing(described(kind, radius=RADIUS), held).lines
     reach = 0.25 * 0.4 + 0.3 * RADIUS
     np.testing.assert_allclose(axis, [POINT - (0.1 + reach) * AXIS, POINT + (0.3 + reach) * AXIS], atol=1e-12)
-    radius, angle, along = in_the_axes(circle)
-    np.testing.assert_allclose([radius, along], np.outer([RADIUS, 0.1], np.ones(len(circle))), atol=1e-12)
-    np.testing.assert_allclose(np.abs(np.diff(np.unwrap(angle))), np.deg2rad(3.75), atol=1e-9)
-    np.testing.assert_allclose(circle[0], circle[-1], atol=1e-12)
+    for height, circle in zip(heights, circles, strict=True):
+        radius, angle, along = in_the_axes(circle)
+        np.testing.assert_allclose([radius, along], np.outer([RADIUS, height], np.ones(len(circle))), atol=1e-12)
+        np.testing.assert_allclose(np.abs(np.diff(np.unwrap(angle))), np.deg2rad(3.75), atol=1e-9)
+        np.testing.assert_allclose(circle[0], circle[-1], atol=1e-12)
 
 
 @pytest.mark.parametrize("pitch", [0.05, -0.08])
 def test_a_screw_is_a_helix_through_the_hand(pitch: float) -> None:
-    """Every point that was held lies on the helix, which begins and ends where they do, right- and left-handed."""
+    """The helix goes through the hand and ends where the motion does, right- and left-handed, with at most 12 turns."""
     angle = np.linspace(0.5, 4.0, 400)
     held = around(angle, pitch * angle)
     _, helix = mechanism_drawing(described("screw", radius=RADIUS, pitch=pitch), held).lines
@@ -266,39 +256,27 @@ def test_a_screw_is_a_helix_through_the_hand(pitch: float) -> None:
     np.testing.assert_allclose(np.diff(along), pitch * np.diff(np.unwrap(turned)), atol=1e-9)
     nearest = np.linalg.norm(held[:, None] - helix[None], axis=2).min(axis=1)
     assert nearest.max() < 0.02  # half the distance of two points of the helix
-    turns = mechanism_drawing(described("screw", radius=RADIUS, pitch=1e-4), held).lines[1]
-    _, angle, _ = in_the_axes(turns)
-    assert np.ptp(np.unwrap(angle)) == pytest.approx(2.0 * np.pi * 12.0)
-
-
-def test_a_cylinder_has_two_rims_and_a_line_none() -> None:
-    """Rims at the ends of what was held; a line is its axis alone, 0.06 m longer than a motion of nothing."""
-    held = around(np.linspace(0.0, 1.0, 9), np.linspace(-0.2, 0.2, 9))
-    _, low, high = mechanism_drawing(described("other", radius=RADIUS), held).lines
-    np.testing.assert_allclose([in_the_axes(low)[2].mean(), in_the_axes(high)[2].mean()], [-0.2, 0.2], atol=1e-12)
-    (line,) = mechanism_drawing(described("line"), POINT[None]).lines
-    np.testing.assert_allclose(line, [POINT - 0.06 * AXIS, POINT + 0.06 * AXIS], atol=1e-12)
+    _, turns, _ = in_the_axes(mechanism_drawing(described("screw", radius=RADIUS, pitch=1e-4), held).lines[1])
+    assert np.ptp(np.unwrap(turns)) == pytest.approx(2.0 * np.pi * 12.0)
 
 
 def test_a_table_is_a_patch_around_the_motion() -> None:
-    """Its corners lie in the plane, its sides along the motion's widest spread, a quarter of that beyond it."""
-    round_it = np.linspace(0.0, 2.0 * np.pi, 48, endpoint=False)
-    along, across = 0.4 - 0.4 * np.cos(round_it), 0.1 * np.sin(round_it)
-    turned = np.cos(0.3) * FIRST + np.sin(0.3) * SECOND
-    held = POINT + along[:, None] * turned + across[:, None] * np.cross(AXIS, turned)
+    """Its corners lie in the plane, its sides along the widest spread of the motion, and a quarter of it longer."""
+    angle = np.linspace(0.0, 2.0 * np.pi, 48, endpoint=False)[:, None]
+    widest = np.cos(0.3) * FIRST + np.sin(0.3) * SECOND
+    held = POINT + (0.4 - 0.4 * np.cos(angle)) * widest + 0.1 * np.sin(angle) * np.cross(AXIS, widest)
     drawn = mechanism_drawing(described("plane"), held)
     (patch,), (edge,) = drawn.patches, drawn.lines
     np.testing.assert_array_equal(edge, [*patch, patch[0]])
     np.testing.assert_allclose((patch - POINT) @ AXIS, 0.0, atol=1e-12)
     sides = np.sort(np.linalg.norm(np.diff(edge, axis=0), axis=1))
     np.testing.assert_allclose(sides, [0.2 + 0.4, 0.2 + 0.4, 1.2, 1.2], atol=1e-9)
-    np.testing.assert_allclose(patch.mean(axis=0), POINT + 0.4 * turned, atol=1e-9)
+    np.testing.assert_allclose(patch.mean(axis=0), POINT + 0.4 * widest, atol=1e-9)
 
 
-def test_a_ball_is_three_circles_and_what_is_not_known_is_not_drawn() -> None:
-    """Great circles around the centre; without a centre, or of a held orientation, the sentence alone."""
+def test_a_ball_is_three_circles_and_an_unknown_place_is_not_drawn() -> None:
+    """A ball is three great circles. Without a centre or an axis there is only the sentence."""
     circles = mechanism_drawing(described("ball", radius=RADIUS), POINT[None]).lines
-    assert len(circles) == 3
     for normal, circle in zip(np.eye(3), circles, strict=True):
         np.testing.assert_allclose(np.linalg.norm(circle - POINT, axis=1), RADIUS, atol=1e-12)
         np.testing.assert_allclose((circle - POINT) @ normal, 0.0, atol=1e-12)
