@@ -124,6 +124,10 @@ def test_bad_rollouts_and_choices_are_refused(robot_of, tmp_path):
         ({"a": good}, {"colours": {"a": "gren"}}, UnknownNameError, "unknown colour 'gren'.*'green'"),
         ({"a": good}, {"colours": {"b": "green"}}, UnknownNameError, "unknown rollout 'b'"),
         (good, {"html": tmp_path}, OutputError, "is a folder"),
+        *(
+            (good, wrong, RecordingError, "align|side_by_side")
+            for wrong in ({"align": "contact"}, {"side_by_side": True})
+        ),
     ):
         with pytest.raises(error, match=words):
             ml.replay(robot, shown, **{"html": path} | more)

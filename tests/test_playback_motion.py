@@ -6,14 +6,12 @@ import json
 from dataclasses import replace
 
 import numpy as np
-import pinocchio as pin
 import pytest
 from case import case
 from test_playback import data_in, unpacked, waving
 
 import manip_learn as ml
 from manip_learn.errors import RecordingError
-from manip_learn.playback.appearance import joint_tracks, kinematic_tree
 from manip_learn.playback.palette import PhaseBand, phase_bands, phases_from_json
 from manip_learn.playback.recorded_motion import (
     MAX_KEY_FRAMES,
@@ -23,38 +21,6 @@ from manip_learn.playback.recorded_motion import (
     key_frames,
     recorded_motion,
 )
-
-ROBOTS = ("kinova", "gantry", "wrist", "humanoid", "rover", "tree", "mimic")
-
-
-def posed(tree, values):
-    """Poses of all joints from the numbers of one key frame, as the page's program computes them."""
-    poses, k = [np.eye(4)], 0
-    for joint in tree[1:]:
-        motion, x = np.eye(4), values[k : k + (7 if joint.motion == "free" else 1)]
-        if joint.motion == "revolute":
-            motion[:3, :3] = pin.AngleAxis(x[0], joint.axis).matrix()
-        elif joint.motion == "prismatic":
-            motion[:3, 3] = x[0] * joint.axis
-        else:
-            motion = pin.XYZQUATToSE3(x).homogeneous
-        poses.append(poses[joint.parent] @ joint.placement @ motion)
-        k += len(x)
-    assert k == len(values)
-    return poses
-
-
-def test_tracks_are_forward_kinematics(robot_of, rng):
-    """The numbers of a key frame give every joint's pose back, whatever kinds of joints and mimics there are."""
-    for name in ROBOTS:
-        robot = robot_of(name)
-        tree, model = kinematic_tree(robot), robot.pinocchio_model
-        data = model.createData()
-        postures = np.array([robot.random_configuration(rng) for _ in range(20)])
-        for q, values in zip(postures, joint_tracks(robot, postures), strict=True):
-            pin.forwardKinematics(model, data, robot.pinocchio_configuration(q))
-            for pose, placed in zip(posed(tree, values), data.oMi, strict=True):
-                np.testing.assert_allclose(pose, placed.homogeneous, atol=1e-12, err_msg=name)
 
 
 def test_key_frames_are_few_and_keep_the_ends():

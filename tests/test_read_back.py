@@ -23,30 +23,18 @@ from manip_learn.recordings.writers.write_motion import write_motion
 # words that run, end a line, or turn into numbers where they are pasted into a program or a table
 EVIL = "2e5 tip'\" : {no}] # \\ end"
 JOINTS = ("no", "1e5", "~", "a 'b\"", "2e3: x", "off")
-OFFSETS = ("0 0 0.16", "0 0.13 0.1", "0 -0.1 0.42", "0.02 0 0.39", "0 0.1 0.02", "0 0.03 0.09")
-AXES = ("0 0 1", "0 1 0", "0 1 0", "0 1 0", "0 0 1", "0 1 0")
 
 
 @pytest.fixture(scope="module")
 def robot(tmp_path_factory) -> ml.Robot:
-    """Six joints between `base` and `tool0`, both apart from the root and the hand; names as nobody should choose."""
-    chain = ["base", *(f"link {i} {EVIL}" for i in range(6))]
-    limit = '<axis xyz="{}"/><limit lower="-3" upper="3" velocity="2" effort="50"/>'
-    joints = [
-        (name, "revolute", a, b, xyz, "0 0 0.1", limit.format(axis))
-        for name, a, b, xyz, axis in zip(JOINTS, chain[:-1], chain[1:], OFFSETS, AXES, strict=True)
-    ]
-    joints.append(("fixed 0", "fixed", "root", "base", "0.1 -0.2 0.3", "0 0 0.7", ""))
-    joints.append(("fixed 1", "fixed", chain[-1], "tool0", "0 0.08 0.02", "-1.57 0 0", ""))
-    joints.append(("fixed 2", "fixed", "tool0", EVIL, "0.03 0.02 0.11", "0.2 0.3 -0.4", ""))
-    named = "".join(f"<link name={quoteattr(name)}/>" for name in ("root", *chain, "tool0", EVIL))
-    named += "".join(
-        f'<joint name={quoteattr(name)} type="{kind}"><parent link={quoteattr(a)}/><child link={quoteattr(b)}/>'
-        f'<origin xyz="{xyz}" rpy="{rpy}"/>{rest}</joint>'
-        for name, kind, a, b, xyz, rpy, rest in joints
-    )
+    """A UR5 whose joints, hand and robot have names that nobody should choose."""
+    ur5 = ml.load_robot("ur5")
+    assert ur5.source is not None
+    text = ur5.source.read_text(encoding="utf-8").replace('<robot name="ur5"', f"<robot name={quoteattr(EVIL)}")
+    for name, hostile in zip((*ur5.joint_names, "ee_link"), (*JOINTS, EVIL), strict=True):
+        text = text.replace(f'"{name}"', quoteattr(hostile))
     path = tmp_path_factory.mktemp("hostile") / "arm.urdf"
-    path.write_text(f"<robot name={quoteattr(EVIL)}>{named}</robot>", encoding="utf-8")
+    path.write_text(text, encoding="utf-8")
     return ml.load_robot(path)
 
 
