@@ -16,26 +16,6 @@ Said = dict[str, Any] | None
 Script = Generator[Said, None, None]
 
 
-class Unsteady:
-    """Slow waves about where a hand is meant to be, a new set for each.
-
-    Args:
-        rng: Of sizes, speeds and phases.
-        size: Number of directions.
-        astray: Standard deviation.
-    """
-
-    def __init__(self, rng: np.random.Generator, size: int, astray: float):
-        waves = rng.uniform(0.5, 1.5, (size, 4))
-        self._waves = waves * astray / np.sqrt(0.5 * np.sum(waves**2, axis=1, keepdims=True))
-        self._speed = 2.0 * np.pi * rng.uniform(0.3, 1.2, (size, 4))
-        self._phase = rng.uniform(0.0, 2.0 * np.pi, (size, 4))
-
-    def at(self, time: float) -> np.ndarray:
-        """How far the hand is from where it is meant to be."""
-        return np.sum(self._waves * np.sin(self._speed * time + self._phase), axis=1)
-
-
 class Person:
     """Sees what the session shows, and says what its script says, once a period; takes the place of server and page."""
 
@@ -44,7 +24,6 @@ class Person:
         self.pose: dict[str, Any] = {}
         self.slots: dict[str, Any] = {}
         self.files: dict[str, Path] = {}
-        self.said: list[str] = []
         self.script: Iterator[Said] = iter(())
         self.session: Any = None
 
@@ -57,8 +36,6 @@ class Person:
         """What the page would be shown."""
         content = json.loads(message())
         self.slots[slot] = content
-        if slot == "state" and content["said"] not in self.said[-1:]:
-            self.said.append(content["said"])
         if slot == "pose" and self.session is not None:
             self.pose = content
             said = next(self.script, {"end": True})
@@ -84,7 +61,7 @@ class Person:
             if self.state["progress"] is not None:
                 time.sleep(PERIOD)  # the other process has the processor
             yield None
-        raise AssertionError(f"it did not come to pass; the page said {self.said[-3:]}")
+        raise AssertionError(f"it did not come to pass; the page said {self.state['said']}")
 
     def press(self, **said: Any) -> Script:
         """Press a button, and wait until it was heard and shown."""
@@ -96,12 +73,17 @@ class Person:
         n = round(seconds / PERIOD)
         for k in range(n):
             self._time += PERIOD
-            to = path((k + 1) / n) + self._unsteady.at(self._time)
+            astray = np.sum(self._waves * np.sin(self._speed * self._time + self._phase), axis=1)
+            to = path((k + 1) / n) + astray
             yield pull(to, None if turn is None else turn((k + 1) / n).tolist(), k)
 
     def other_hand(self) -> None:
-        """Be unsteady in another way from now on."""
-        self._unsteady, self._time = Unsteady(self.rng, 3, ASTRAY), 0.0
+        """Be unsteady in another way from now on: slow waves about where the hand is meant to be."""
+        waves = self.rng.uniform(0.5, 1.5, (3, 4))
+        self._waves = waves * ASTRAY / np.sqrt(0.5 * np.sum(waves**2, axis=1, keepdims=True))
+        self._speed = 2.0 * np.pi * self.rng.uniform(0.3, 1.2, (3, 4))
+        self._phase = self.rng.uniform(0.0, 2.0 * np.pi, (3, 4))
+        self._time = 0.0
 
     def hold(self, seconds: float) -> Script:
         """Draw the hand to the first handle until the gripper holds it, at most so long."""

@@ -100,23 +100,3 @@ def test_a_rollout_keeps_the_obstacles(scene: ml.Scene, robot_of, tmp_path: Path
     file.write_text(file.read_text().replace('"kind": "sphere"', '"kind": "cloud"'))
     with pytest.raises(RecordingError):
         ml.Rollout.load(file, sawyer)
-
-
-@pytest.mark.parametrize("kind", ["drawer", "door", "table"])
-def test_furniture_stops_an_arm_that_is_drawn_through_it(robot_of, kind: str):
-    """Pulled with a person's force to a place behind the furniture, the hand does not get there."""
-    pytest.importorskip("mujoco")
-    from manip_learn.teach.arm import TeachingArm
-    from manip_learn.teach.scene import place_scene
-
-    sawyer = robot_of("sawyer")
-    scene = place_scene(kind, sawyer, "right_gripper_tip", np.random.default_rng(4))  # type: ignore[arg-type]
-    handle, arm = scene.handle, TeachingArm(scene, np.random.default_rng(0), in_real_time=False)
-    start = arm.place
-    behind = -0.35 * handle.axis if kind == "table" else -0.6 * handle.pose[:3, 1]
-    goal = handle.pose[:3, 3] + behind
-    for k in range(400):
-        arm.pull(None, None, start + (goal - start) * min(1.0, k / 300))
-        arm.wait()
-    assert np.linalg.norm(arm.place - goal) > 0.1
-    assert np.max(np.abs(arm.data.qvel)) < 0.5

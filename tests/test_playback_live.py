@@ -344,23 +344,3 @@ def test_files_are_those_offered(process, tmp_path):
     outside = ("secret.csv", "../secret.csv", "%2e%2e/secret.csv", "..%2fsecret.csv", f"{tmp_path}/secret.csv", "q.csv")
     for path in (*outside, "", ".", "..", "take.csv/", "take.csv%00", "gone", "dir", "take.csv/../secret.csv"):
         assert answer(process.url, "files/" + path)[0] == 404, path
-
-
-def test_failures_of_the_program_are_logged(heard, caplog):
-    """An error of the program, in its callback or when it makes a message, is logged once; the rest goes on."""
-
-    def failing(line):
-        heard.append(line)
-        if "said" in line:
-            raise KeyError("nobody knows this")
-
-    with contextlib.closing(LiveProcess(lambda token: HELLO.decode(), 10.0, failing)) as process:
-        for _ in range(3):
-            assert post(process.url) == 204
-            process.put(lambda: str(1 / 0), "state")
-        heard.until(lambda lines: len(lines) == 3)
-        with stream(process.url) as events:
-            process.put(lambda: "1", "pose")
-            assert next(events) == ("pose", 1)
-    assert sorted(record.exc_info[0].__name__ for record in caplog.records) == ["KeyError", "ZeroDivisionError"]
-    assert all(record.name == "manip_learn" and record.levelname == "ERROR" for record in caplog.records)
