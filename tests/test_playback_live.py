@@ -29,7 +29,7 @@ pytestmark = pytest.mark.timeout(60)  # a call that waits for a server that stan
 HELLO = b"<html>page"
 
 
-class Heard(list):
+class Lines(list):
     """Lines that a process has heard; a test can wait for them."""
 
     def until(self, condition):
@@ -42,20 +42,20 @@ class Heard(list):
 
 
 @pytest.fixture
-def heard():
+def lines():
     """What the process has heard."""
-    return Heard()
+    return Lines()
 
 
 @pytest.fixture
-def process(heard):
+def process(lines):
     """A process that appends what it hears."""
-    with contextlib.closing(LiveProcess(lambda token: HELLO.decode(), 10.0, heard.append)) as process:
+    with contextlib.closing(LiveProcess(lambda token: HELLO.decode(), 10.0, lines.append)) as process:
         yield process
 
 
 @contextlib.contextmanager
-def asked(url, path="", method="GET", body=b"", **headers):
+def request(url, path="", method="GET", body=b"", **headers):
     """The answer to a request with the headers of a page of its own, but for those given; None omits one."""
     address = urlsplit(url)
     usual = {"Host": address.netloc}
@@ -75,7 +75,7 @@ def asked(url, path="", method="GET", body=b"", **headers):
 
 def answer(url, path="", **more):
     """Status and body of an answer."""
-    with asked(url, path, **more) as response:
+    with request(url, path, **more) as response:
         return response.status, response.read()
 
 
@@ -87,7 +87,7 @@ def post(url, body=b'{"do": "stop"}', path="said?page=a-1", **headers):
 @contextlib.contextmanager
 def stream(url, page="a-1"):
     """The events of a page's stream as pairs of a name and a value."""
-    with asked(url, f"events?page={page}") as response:
+    with request(url, f"events?page={page}") as response:
         assert response.headers["Content-Type"] == "text/event-stream"
         lines = (line.decode().strip().partition(": ") for line in response)
 
@@ -164,7 +164,7 @@ def test_a_viewer_shows_postures_and_outlives_its_server(robot_of):
         viewer.show(np.zeros(3))
 
 
-def test_strangers_get_nothing_and_are_not_heard(process, heard):
+def test_strangers_get_nothing_and_are_not_heard(process, lines):
     """Requests are refused from another host (DNS rebinding) or origin, to a wrong address, with another kind of body,
     without a page id, and with a body that is no JSON object. What the server's own pages post is heard in order.
     """
@@ -205,10 +205,10 @@ def test_strangers_get_nothing_and_are_not_heard(process, heard):
                  b'{"to": ' + 10_000 * b"9" + b"}", b'{"a":' * 3_000 + b"1" + b"}" * 3_000):  # fmt: skip
         assert post(url, body) == 400, body[:20]
     assert answer(url, method="PUT")[0] == 501 and answer(url, "events")[0] == 400
-    assert heard == []
+    assert lines == []
     bodies = [{"do": "stop"}, {"do": "drop", "text": "1,2\n" * 100_000}, {}, {"do": "rename", "to": "\u00e4"}]
     assert [post(url, json.dumps(body, indent=1).encode()) for body in bodies] == 4 * [204]
-    assert heard.until(lambda lines: len(lines) == 4) == [{"page": "a-1", "said": body} for body in bodies]
+    assert lines.until(lambda lines: len(lines) == 4) == [{"page": "a-1", "said": body} for body in bodies]
     for raw in (b"\x16\x03\x01\r\n\r\n", f"GET {token} HTTP/1.1\r\n\r\n".encode(),
                     f"GET {token} HTTP/1.1\r\nHost: a\r\nHost: {urlsplit(url).netloc}\r\n\r\n".encode()):  # fmt: skip
         with socket.create_connection(("127.0.0.1", port), timeout=20.0) as connection:
@@ -306,7 +306,7 @@ def test_pages_get_the_latest_of_each_slot(process):
         assert next(events) == ("scene", 50)  # the other slots have not changed
 
 
-def test_pages_are_counted(process, heard):
+def test_pages_are_counted(process, lines):
     """The ids of the open pages are reported, oldest first, whenever one opens or closes. A page that is opened again
     before the server has seen its first stream end counts once.
     """
@@ -317,12 +317,12 @@ def test_pages_are_counted(process, heard):
         else:
             streams[page] = contextlib.ExitStack()
             streams[page].enter_context(stream(process.url, page))
-        heard.until(lambda lines, pages=pages: lines and lines[-1] == {"pages": pages})
-    assert len(heard) == 4
+        lines.until(lambda lines, pages=pages: lines and lines[-1] == {"pages": pages})
+    assert len(lines) == 4
     with stream(process.url, "one"):
         streams["one"].close()
         streams["two"].close()
-        heard.until(lambda lines: lines[-1] == {"pages": ["one"]})
+        lines.until(lambda lines: lines[-1] == {"pages": ["one"]})
 
 
 def test_files_are_those_offered(process, tmp_path):
@@ -335,11 +335,11 @@ def test_files_are_those_offered(process, tmp_path):
     process.put(lambda: "{}", "state")
     with stream(process.url) as events:
         assert next(events) == ("state", {})  # pages see no paths, and files are there before this message
-    with asked(process.url, "files/take.csv") as response:
+    with request(process.url, "files/take.csv") as response:
         assert response.read() == bytes(range(256)) * 3000
         headers = {"Content-Disposition": "attachment", "Content-Type": "text/csv", "X-Content-Type-Options": "nosniff"}
         assert {key: response.headers[key] for key in headers} == headers
-    with asked(process.url, "files/" + quote(name)) as response:
+    with request(process.url, "files/" + quote(name)) as response:
         assert response.read() == b"<script>" and response.headers["Content-Disposition"] == "attachment"
     outside = ("secret.csv", "../secret.csv", "%2e%2e/secret.csv", "..%2fsecret.csv", f"{tmp_path}/secret.csv", "q.csv")
     for path in (*outside, "", ".", "..", "take.csv/", "take.csv%00", "gone", "dir", "take.csv/../secret.csv"):
