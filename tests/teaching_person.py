@@ -17,7 +17,7 @@ Script = Generator[Said, None, None]
 
 
 class Person:
-    """Sees what the session shows, and says what its script says, once a period; takes the place of server and page."""
+    """Receives what the session shows, and sends the next message of its script once a period, like server and page."""
 
     def __init__(self, seed: int):
         self.rng = np.random.default_rng(seed)
@@ -29,11 +29,11 @@ class Person:
 
     @property
     def state(self) -> dict[str, Any]:
-        """The newest state."""
+        """The latest state."""
         return self.slots["state"]
 
     def put(self, message: Callable[[], str], slot: str = "message") -> None:
-        """What the page would be shown."""
+        """Receive a message for the page."""
         content = json.loads(message())
         self.slots[slot] = content
         if slot == "pose" and self.session is not None:
@@ -43,7 +43,7 @@ class Person:
                 self.session.hear(said if "end" in said else {"page": "person", "said": said})
 
     def offer(self, files: Any) -> None:
-        """Files to take home."""
+        """Receive the files that can be downloaded."""
         self.files = dict(files)
 
     # ---- scripts ----------------------------------------------------------------------------------------------------
@@ -54,14 +54,14 @@ class Person:
             yield None
 
     def wait_for(self, done: Callable[[], bool], seconds: float = 60.0) -> Script:
-        """Do nothing until something is so, at most so long on the arm's clock."""
+        """Do nothing until a condition holds, at most so many seconds on the arm's clock."""
         for _ in range(round(seconds / PERIOD)):
             if done():
                 return
             if self.state["progress"] is not None:
                 time.sleep(PERIOD)  # the other process has the processor
             yield None
-        raise AssertionError(f"it did not come to pass; the page said {self.state['said']}")
+        raise AssertionError(f"the condition never held; the page says {self.state['said']}")
 
     def press(self, **said: Any) -> Script:
         """Press a button, and wait until it was heard and shown."""
@@ -86,14 +86,14 @@ class Person:
         self._time = 0.0
 
     def hold(self, seconds: float) -> Script:
-        """Draw the hand to the first handle until the gripper holds it, at most so long."""
+        """Pull the hand to the first handle until the gripper holds it, at most so many seconds."""
         for _ in range(round(seconds / PERIOD)):
             if self.session.arm.held:
                 return
             yield pull(self.session.arm.handle_place)
 
     def demonstrate(self) -> Script:
-        """Record one motion: to the handle, all of its way and back, away again; pauses between."""
+        """Record one motion: to the handle, along its whole travel and back, and away, with pauses."""
         session, rng = self.session, self.rng
         arm = session.arm
         self.other_hand()
@@ -142,11 +142,11 @@ class Person:
 
 
 def pull(to: np.ndarray, turn: list[float] | None = None, seq: int = 0) -> dict[str, Any]:
-    """What is posted for a pull of the tip."""
+    """Return the message for a pull of the tip."""
     return {"do": "pull", "to": to.tolist(), "turn": turn, "seq": seq}
 
 
 def smooth(share: float) -> float:
-    """Share of the way [0, 1] at a share of the time, slow at both ends."""
+    """Return the share of the path [0, 1] at a share of the time, slow at both ends."""
     x = min(max(share, 0.0), 1.0)
     return x * x * (3.0 - 2.0 * x)
