@@ -18,7 +18,7 @@ import numpy as np
 import pytest
 from case import case
 from recording_corpus import CASES, FULL, JOINTS, TIME, Q, U, npz, numbers, refusal
-from recording_formats import all_in_one, bag, file_of, h5py, one, pa, pq, robomimic, table, version_2, version_3
+from recording_formats import all_in_one, bag, file_of, h5py, one, pa, pq, robomimic, version_3
 
 import manip_learn as ml
 from manip_learn.cli import main
@@ -26,18 +26,9 @@ from manip_learn.commands.command_line import flags_of
 from manip_learn.commands.program import program
 from manip_learn.constraint.skill import Skill
 from manip_learn.control.rollout import Rollout
-from manip_learn.errors import (
-    ConstraintMismatchError,
-    ManipLearnError,
-    RecordingError,
-    SceneError,
-    advice_for_command,
-)  # fmt: skip
+from manip_learn.errors import ConstraintMismatchError, ManipLearnError, RecordingError, SceneError, advice_for_command
 from manip_learn.planning.scene import Scene
 from manip_learn.recordings import RecordingSource, load_demonstrations
-from manip_learn.recordings.saved_motion import motion_of_trajectory
-from manip_learn.recordings.trajectory import Trajectory
-from manip_learn.recordings.writers.write_motion import mcap_bytes
 from manip_learn.robot import Robot, load_robot
 from manip_learn.robot.identity import RobotIdentity
 
@@ -102,7 +93,6 @@ GIVEN: dict[str, Any] = {"joint_names": JOINTS, "rate": 50.0}
 FILES: dict[str, tuple[Callable[[Path], Any], dict[str, Any]]] = {
     "csv": (numbers(FULL), {}),
     "npz": (npz(time=TIME, q=Q, u=U, joint_names=np.array(JOINTS)), {}),
-    "npz_compressed": (npz(True, time=TIME, q=Q, u=U, joint_names=np.array(JOINTS)), {}),
     "mcap": (bag_file("mcap"), {}),
     "bag": (bag_file("ros1"), {}),
     "db3": (bag_file("sqlite"), {}),
@@ -158,10 +148,8 @@ def forged(text: str, rng: np.random.Generator) -> str:
 @pytest.mark.filterwarnings("ignore:overflow:RuntimeWarning")  # of forged numbers such as 1e308
 def test_damaged_constraints(planar3: Robot, rollout: Rollout, tmp_path: Path, rng, capsys) -> None:
     """Values changed in a constraint file, from its robot to its mechanism: one sentence, code 2."""
-    learnt = {
-        "phases": [["run", 0.0, 0.5, 0], ["run", 0.5, 1.0, None]],
-        "mechanism": {"type": "hinge", "axis": [0, 0, 1], "point": [0, 0, 0], "radius": 1.0},
-    }
+    learnt: dict[str, Any] = {"mechanism": {"type": "hinge", "axis": [0, 0, 1], "point": [0, 0, 0], "radius": 1.0}}
+    learnt["phases"] = [["run", 0.0, 0.5, 0], ["run", 0.5, 1.0, None]]
     features = ml.FrameJacobian(planar3, "tip", "planar")
     path = ml.Constraint([[1.0, 0.0, 0.0]], features, learnt).save(tmp_path / "c.json")
     content, run = path.read_text(), rollout.save(tmp_path / "run.npz")
@@ -198,9 +186,7 @@ def queried(*queries: str) -> Callable[[Path], Any]:
 
 
 def mcap(folder: Path) -> Path:
-    trajectory = Trajectory(TIME, Q, U, JOINTS, "demo")
-    (folder / "d.mcap").write_bytes(mcap_bytes(motion_of_trajectory(trajectory, load_robot("planar3"))))
-    return folder / "d.mcap"
+    return file_of(bag("mcap", all_in_one())(folder))
 
 
 def bytes_of(change: Callable[[bytes], bytes]) -> Callable[[Path], Any]:
@@ -271,28 +257,21 @@ def test_a_bag_of_many_chunks_and_topics_is_whole(kind: str, planar3: Robot, tmp
         assert load_demonstrations(given_path, planar3).n_samples == 60
 
 
-@pytest.mark.parametrize(
-    ("version", "gone", "frames"), [(version_2, "episode_000002", 320), (version_3, "file-001", 240)]
-)
-def test_the_totals_of_a_lerobot_data_set_are_believed(version, gone, frames, planar3: Robot, tmp_path: Path) -> None:
+def test_the_totals_of_a_lerobot_data_set_are_believed(planar3: Robot, tmp_path: Path) -> None:
     """A data set with a file missing is refused with both numbers, in memory and in a stream; what is there can be
     selected, and a single file is read for itself.
     """
-
-    def load(path: Path, **options: Any) -> Any:
-        return load_demonstrations(path, planar3, units="radians", **options)
-
-    root = version(tmp_path / "set")
+    root, radians = version_3(tmp_path / "set"), {"units": "radians"}
     info = root / "meta" / "info.json"
-    info.write_text(json.dumps(json.loads(info.read_text()) | {"total_frames": frames, "total_episodes": 4}))
-    assert load(root).n_samples == frames
-    next(root.glob(f"data/**/{gone}.parquet")).unlink()
-    for use in (load, lambda path: list(RecordingSource(path, planar3, units="radians"))):
-        with pytest.raises(RecordingError, match="meta/info.json states total_") as caught:
-            use(root)
-        assert caught.value.code == "lost-samples" and "episodes='0:'" in str(caught.value)
-    assert len(load(root, episodes=[0, 1])) == 2
-    assert load(next(root.glob("data/**/*.parquet"))).n_samples > 0
+    info.write_text(json.dumps(json.loads(info.read_text()) | {"total_frames": 240, "total_episodes": 4}))
+    assert load_demonstrations(root, planar3, **radians).n_samples == 240
+    (root / "data/chunk-000/file-001.parquet").unlink()
+    for use in (load_demonstrations, lambda *given, **options: list(RecordingSource(*given, **options))):
+        with pytest.raises(RecordingError, match="meta/info.json states total_.*episodes='0:'") as caught:
+            use(root, planar3, **radians)
+        assert caught.value.code == "lost-samples"
+    assert len(load_demonstrations(root, planar3, **radians, episodes=[0, 1])) == 2
+    assert load_demonstrations(root / "data/chunk-000/file-000.parquet", planar3, **radians).n_samples == 160
 
 
 @pytest.mark.parametrize("ending", ["npz", "csv"])
@@ -307,19 +286,6 @@ def test_a_saved_rollout_that_lost_a_sample_is_refused(ending: str, rollout: Rol
     with pytest.raises(RecordingError, match=f"written with {T} samples and holds {T - 1}") as caught:
         Rollout.load(path)
     assert caught.value.code == "damaged" and len(Rollout.load(rollout.save(path)).time) == T
-
-
-def test_no_control_character_of_a_file_is_printed(planar3: Robot, tmp_path: Path) -> None:
-    """Neither of its name nor of its header: in notes, errors and names of trajectories they are written out."""
-    (tmp_path / "\x9b2J.txt").write_text("no table")
-    path = table("time,joint1,joint2,joint3,force\x1b[32m", TIME, Q, TIME, name="demo\x1b[31m.csv")(tmp_path)
-    assert str(refusal(path, planar3)).isprintable()
-    for place in (path, tmp_path):
-        demos = load_demonstrations(place, planar3, columns="{joint}")
-        said: list[str] = []
-        (streamed,) = RecordingSource(place, planar3, columns="{joint}").part(0, said)
-        assert demos.notes and all(note.isprintable() for note in (*demos.notes, *said))
-        assert demos[0].name == streamed.name == "demo\\x1b[31m.csv"
 
 
 # ---- what is no rollout
