@@ -24,7 +24,6 @@ from manip_learn.commands.output import Answer, cells
 from manip_learn.commands.tables import Glossary, show, table_of
 from manip_learn.control.simulation import WayDone
 from manip_learn.learning.audit import AuditReport, EpisodeAudit, audit_episodes
-from manip_learn.recordings.load import RecordingSource
 
 
 def printed(width: int, answer: Answer, explain: bool | None = False) -> str:
@@ -71,7 +70,7 @@ def test_an_audit_is_readable() -> None:
     """On 60 columns the least telling measures give way, and are named; on 100 all are there."""
     sawyer = ml.load_robot("sawyer")
     constraint = ml.Constraint(np.eye(3)[:2], ml.FrameJacobian(sawyer, FRAME[1], "xyz", "world"))
-    answer = audited(audit_episodes(constraint, RecordingSource(DRAWER[:2], sawyer)))
+    answer = audited(audit_episodes(constraint, ml.RecordingSource(DRAWER[:2], sawyer)))
     for width in (60, 100):
         text, (_, hidden) = printed(width, answer), table_of(answer.rows, width)
         assert "\u2026" not in text and max(map(len, text.splitlines())) <= width

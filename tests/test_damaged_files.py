@@ -24,11 +24,7 @@ import manip_learn as ml
 from manip_learn.cli import main
 from manip_learn.commands.command_line import flags_of
 from manip_learn.commands.program import program
-from manip_learn.constraint.skill import Skill
-from manip_learn.control.rollout import Rollout
 from manip_learn.errors import ConstraintMismatchError, ManipLearnError, RecordingError, SceneError, advice_for_command
-from manip_learn.planning.scene import Scene
-from manip_learn.recordings import RecordingSource, load_demonstrations
 from manip_learn.robot import Robot, load_robot
 from manip_learn.robot.identity import RobotIdentity
 
@@ -54,7 +50,7 @@ def test_verdict(first: int, command: str, planar3: Robot, tmp_path: Path) -> No
         one_of.write(path)
         try:
             with advice_for_command(flags):
-                demos = load_demonstrations(path, planar3, **one_of.options)
+                demos = ml.load_demonstrations(path, planar3, **one_of.options)
         except RecordingError as error:
             verdict, said = error.code, str(error)
             assert len(said) < 700 and "\n" not in said and (one_of.name in said or path.is_dir()), said
@@ -109,13 +105,13 @@ def test_damaged_files_are_whole_or_refused(name: str, planar3: Robot, tmp_path:
     """
     path, (write, options) = tmp_path / "whole.npz", FILES[name]
     write(path)
-    content, whole = path.read_bytes(), load_demonstrations(path, planar3, **options)
+    content, whole = path.read_bytes(), ml.load_demonstrations(path, planar3, **options)
     path = tmp_path / "damaged"
     lost, accepted, trials = [], 0, 5000 if FUZZ else 60
     for number in range(trials):
         path.write_bytes(content[:16] + mutant(content[16:], rng))  # the beginning names the format
         try:
-            demos = load_demonstrations(path, planar3, **options)
+            demos = ml.load_demonstrations(path, planar3, **options)
         except RecordingError as error:
             assert str(error).isprintable()
             continue
@@ -126,11 +122,11 @@ def test_damaged_files_are_whole_or_refused(name: str, planar3: Robot, tmp_path:
 
 
 @pytest.fixture
-def rollout(planar3: Robot) -> Rollout:
+def rollout(planar3: Robot) -> ml.Rollout:
     time = 0.1 * np.arange(T)
     q = np.column_stack([np.sin(time), 1.0 + np.cos(time), 0.5 * time])
     u, status = np.gradient(q, time, axis=0), (*("ok",) * (T - 1), "damped")
-    return Rollout(time, q, u, time, status, planar3.joint_names, time, "", RobotIdentity.of(planar3))
+    return ml.Rollout(time, q, u, time, status, planar3.joint_names, time, "", RobotIdentity.of(planar3))
 
 
 # values that a damaged or forged JSON file may hold
@@ -146,7 +142,7 @@ def forged(text: str, rng: np.random.Generator) -> str:
 
 
 @pytest.mark.filterwarnings("ignore:overflow:RuntimeWarning")  # of forged numbers such as 1e308
-def test_damaged_constraints(planar3: Robot, rollout: Rollout, tmp_path: Path, rng, capsys) -> None:
+def test_damaged_constraints(planar3: Robot, rollout: ml.Rollout, tmp_path: Path, rng, capsys) -> None:
     """Values changed in a constraint file, from its robot to its mechanism: one sentence, code 2."""
     learnt: dict[str, Any] = {"mechanism": {"type": "hinge", "axis": [0, 0, 1], "point": [0, 0, 0], "radius": 1.0}}
     learnt["phases"] = [["run", 0.0, 0.5, 0], ["run", 0.5, 1.0, None]]
@@ -228,7 +224,7 @@ def test_what_a_file_states_is_believed(what: str, planar3: Robot, tmp_path: Pat
     """
     build, edit, code, words, options = LOST[what]
     path = build(tmp_path)
-    assert load_demonstrations(path, planar3, **options).n_samples in (60, 180)
+    assert ml.load_demonstrations(path, planar3, **options).n_samples in (60, 180)
     edit(path)
     assert refusal(path, planar3, match=words, **options).code == code
 
@@ -240,7 +236,7 @@ def test_a_killed_recorder_is_noticed(end: str, planar3: Robot, tmp_path: Path) 
     side = file_of(path).with_name(file_of(path).name + end)
     for given_path in (path, file_of(path)):
         side.write_bytes(b"")
-        assert load_demonstrations(given_path, planar3).n_samples == 60
+        assert ml.load_demonstrations(given_path, planar3).n_samples == 60
         side.write_bytes(b"x" * 32)
         error = refusal(given_path, planar3)
         assert error.code == "unfinished" and "PRAGMA wal_checkpoint(TRUNCATE)" in str(error)
@@ -254,7 +250,7 @@ def test_a_bag_of_many_chunks_and_topics_is_whole(kind: str, planar3: Robot, tmp
     between = [("/other", r + 1, (s, ("x",), (0.5,))) for _, r, (s, *_) in long]
     path = bag(kind, long, between)(tmp_path)
     for given_path in (path, file_of(path)):
-        assert load_demonstrations(given_path, planar3).n_samples == 60
+        assert ml.load_demonstrations(given_path, planar3).n_samples == 60
 
 
 def test_the_totals_of_a_lerobot_data_set_are_believed(planar3: Robot, tmp_path: Path) -> None:
@@ -264,18 +260,18 @@ def test_the_totals_of_a_lerobot_data_set_are_believed(planar3: Robot, tmp_path:
     root, radians = version_3(tmp_path / "set"), {"units": "radians"}
     info = root / "meta" / "info.json"
     info.write_text(json.dumps(json.loads(info.read_text()) | {"total_frames": 240, "total_episodes": 4}))
-    assert load_demonstrations(root, planar3, **radians).n_samples == 240
+    assert ml.load_demonstrations(root, planar3, **radians).n_samples == 240
     (root / "data/chunk-000/file-001.parquet").unlink()
-    for use in (load_demonstrations, lambda *given, **options: list(RecordingSource(*given, **options))):
+    for use in (ml.load_demonstrations, lambda *given, **options: list(ml.RecordingSource(*given, **options))):
         with pytest.raises(RecordingError, match="meta/info.json states total_.*episodes='0:'") as caught:
             use(root, planar3, **radians)
         assert caught.value.code == "lost-samples"
-    assert len(load_demonstrations(root, planar3, **radians, episodes=[0, 1])) == 2
-    assert load_demonstrations(root / "data/chunk-000/file-000.parquet", planar3, **radians).n_samples == 160
+    assert len(ml.load_demonstrations(root, planar3, **radians, episodes=[0, 1])) == 2
+    assert ml.load_demonstrations(root / "data/chunk-000/file-000.parquet", planar3, **radians).n_samples == 160
 
 
 @pytest.mark.parametrize("ending", ["npz", "csv"])
-def test_a_saved_rollout_that_lost_a_sample_is_refused(ending: str, rollout: Rollout, tmp_path: Path) -> None:
+def test_a_saved_rollout_that_lost_a_sample_is_refused(ending: str, rollout: ml.Rollout, tmp_path: Path) -> None:
     """In every format: it states how many there were."""
     path = rollout.save(tmp_path / f"run.{ending}")
     if ending == "npz":
@@ -284,13 +280,13 @@ def test_a_saved_rollout_that_lost_a_sample_is_refused(ending: str, rollout: Rol
     else:
         path.write_text("".join(path.read_text(encoding="utf-8").splitlines(keepends=True)[:-1]))
     with pytest.raises(RecordingError, match=f"written with {T} samples and holds {T - 1}") as caught:
-        Rollout.load(path)
-    assert caught.value.code == "damaged" and len(Rollout.load(rollout.save(path)).time) == T
+        ml.Rollout.load(path)
+    assert caught.value.code == "damaged" and len(ml.Rollout.load(rollout.save(path)).time) == T
 
 
 # ---- what is no rollout
-def saved_with(**changes: Any) -> Callable[[Path, Rollout], Any]:
-    def write(path: Path, rollout: Rollout) -> None:
+def saved_with(**changes: Any) -> Callable[[Path, ml.Rollout], Any]:
+    def write(path: Path, rollout: ml.Rollout) -> None:
         with np.load(rollout.save(path)) as archive:
             arrays = dict(archive)
         np.savez(path, **{**arrays, **changes})
@@ -298,7 +294,7 @@ def saved_with(**changes: Any) -> Callable[[Path, Rollout], Any]:
     return write
 
 
-NO_ROLLOUT: dict[str, tuple[Callable[[Path, Rollout], Any], str]] = {
+NO_ROLLOUT: dict[str, tuple[Callable[[Path, ml.Rollout], Any], str]] = {
     "a folder": (lambda path, _: path.mkdir(), r"r\.npz"),
     "text": (lambda path, _: path.write_text("time,q\n0,1\n", encoding="utf-8"), r"r\.npz"),
     "another archive": (lambda path, _: np.savez(path, q=np.zeros(3)), r"r\.npz"),
@@ -316,12 +312,12 @@ NO_ROLLOUT: dict[str, tuple[Callable[[Path, Rollout], Any], str]] = {
 
 
 @pytest.mark.parametrize("what", NO_ROLLOUT)
-def test_what_is_no_rollout_is_refused_by_name(what: str, planar3: Robot, rollout: Rollout, tmp_path: Path) -> None:
+def test_what_is_no_rollout_is_refused_by_name(what: str, planar3: Robot, rollout: ml.Rollout, tmp_path: Path) -> None:
     """No file, another kind of file, arrays of another kind, width, status or names: the message says which."""
     write, words = NO_ROLLOUT[what]
     write(tmp_path / "r.npz", rollout)
     with pytest.raises(RecordingError, match=words):
-        Rollout.load(tmp_path / "r.npz", planar3)
+        ml.Rollout.load(tmp_path / "r.npz", planar3)
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="there is no /dev/full here")
@@ -351,10 +347,10 @@ DOORS = {
     **dict.fromkeys(("arm.urdf", "arm.xml"), lambda path, robot: load_robot(path)),
     "arm.xacro": lambda path, robot: load_robot(path, xacro=True),
     "constraint.json": ml.Constraint.load,
-    "skill.json": Skill.load,
-    **dict.fromkeys(("scene.json", "scene.urdf"), Scene.load),
-    **dict.fromkeys(("run.npz", "run.csv"), Rollout.load),
-    **dict.fromkeys(("demo.csv", "demo.npz"), load_demonstrations),
+    "skill.json": ml.Skill.load,
+    **dict.fromkeys(("scene.json", "scene.urdf"), ml.Scene.load),
+    **dict.fromkeys(("run.npz", "run.csv"), ml.Rollout.load),
+    **dict.fromkeys(("demo.csv", "demo.npz"), ml.load_demonstrations),
 }
 
 
@@ -372,7 +368,7 @@ def test_what_is_no_file_is_refused_at_each_door(what: str, planar3: Robot, tmp_
 
 def test_what_may_not_be_read_is_not_called_damaged(planar3: Robot, tmp_path: Path, monkeypatch) -> None:
     """At each door; a folder is called one."""
-    for load in (ml.Constraint.load, Skill.load, Scene.load):
+    for load in (ml.Constraint.load, ml.Skill.load, ml.Scene.load):
         with pytest.raises(ManipLearnError, match="is a folder"):
             load(tmp_path, planar3)
 
@@ -405,8 +401,8 @@ def test_json_that_parsers_take_badly(what: str, planar3: Robot, tmp_path: Path,
     path.write_bytes(content if isinstance(content, bytes) else content.encode())
     for load, error, words in (
         (ml.Constraint.load, ConstraintMismatchError, of_constraint),
-        (Skill.load, ConstraintMismatchError, of_constraint),
-        (Scene.load, SceneError, of_scene),
+        (ml.Skill.load, ConstraintMismatchError, of_constraint),
+        (ml.Scene.load, SceneError, of_scene),
     ):
         with pytest.raises(error, match=words):
             load(path, planar3)
@@ -415,7 +411,7 @@ def test_json_that_parsers_take_badly(what: str, planar3: Robot, tmp_path: Path,
     assert "internal error" not in said and of_constraint in said and said.count("\n") == 1 and len(said) < 500
 
 
-def test_too_little_memory_is_said(planar3: Robot, rollout: Rollout, tmp_path: Path, monkeypatch, capsys) -> None:
+def test_too_little_memory_is_said(planar3: Robot, rollout: ml.Rollout, tmp_path: Path, monkeypatch, capsys) -> None:
     """How much was asked for and what asks for less: of a rollout, and of a file, which is not called damaged."""
     path = ml.Constraint([[0.0, 1.0]], ml.FrameJacobian(planar3, "tip", "x y")).save(tmp_path / "c.json")
     command = ["control", "planar3", str(path), "--target", "1,1.5"]
@@ -429,5 +425,5 @@ def test_too_little_memory_is_said(planar3: Robot, rollout: Rollout, tmp_path: P
 
     monkeypatch.setattr(np.lib.format, "read_magic", full)
     with pytest.raises(RecordingError, match="too little memory .*3.2 GiB.*divide the recording") as refused:
-        Rollout.load(run)
+        ml.Rollout.load(run)
     assert refused.value.code == "too-large"

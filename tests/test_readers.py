@@ -44,11 +44,8 @@ from rosbags.rosbag2.reader import zstd
 
 import manip_learn as ml
 from manip_learn.cli import main
-from manip_learn.control.rollout import Rollout
 from manip_learn.errors import MissingExtraError, RecordingError
-from manip_learn.recordings import RecordingSource, load_demonstrations
 from manip_learn.recordings.streams import JointStates, joint_groups, merge
-from manip_learn.robot import Robot, load_robot
 from manip_learn.robot.identity import RobotIdentity
 
 DATA = Path(__file__).resolve().parents[1] / "examples" / "data"
@@ -321,10 +318,10 @@ READ = {
 
 
 @pytest.mark.parametrize("name", READ)
-def test_what_was_recorded_is_read(name: str, planar3: Robot, tmp_path: Path) -> None:
+def test_what_was_recorded_is_read(name: str, planar3: ml.Robot, tmp_path: Path) -> None:
     """Positions, velocities and efforts by name and bit for bit, times, names in natural order; all else is said."""
     row = READ[name]
-    demos = load_demonstrations(row.build(tmp_path), planar3, **row.options)
+    demos = ml.load_demonstrations(row.build(tmp_path), planar3, **row.options)
     each = row.q if isinstance(row.q, list) else [row.q]
     assert len(demos) == len(each) and row.names in (None, [t.name for t in demos])
     assert bool(demos.notes) == bool(row.note) and all(words in " ".join(demos.notes) for words in row.note)
@@ -547,7 +544,7 @@ REFUSED |= {  # before any file is opened
 
 
 @pytest.mark.parametrize("name", REFUSED)
-def test_what_cannot_be_used_is_refused(name: str, planar3: Robot, tmp_path: Path) -> None:
+def test_what_cannot_be_used_is_refused(name: str, planar3: ml.Robot, tmp_path: Path) -> None:
     """Nothing is filled in or guessed, nothing outside a file is opened, no bomb unpacked, no option passed over."""
     code, words, build, options = REFUSED[name]
     path = build(tmp_path)
@@ -558,7 +555,7 @@ def test_what_cannot_be_used_is_refused(name: str, planar3: Robot, tmp_path: Pat
 
 
 @pytest.mark.parametrize(("value", "code"), [("x1", "not-a-number"), ("900", "outside-limits")])
-def test_the_refused_line_is_named(value: str, code: str, planar3: Robot, tmp_path: Path) -> None:
+def test_the_refused_line_is_named(value: str, code: str, planar3: ml.Robot, tmp_path: Path) -> None:
     """The error names the file, the line as an editor counts it (comments and blank lines too), column and value."""
     lines, path = GOOD.split("\n"), tmp_path / "demo.csv"
     path.write_text("\n".join(["# one", "", *lines[:5], "# two", *lines[5:8], f"0.14,{value},1.9,0.07", *lines[9:]]))
@@ -569,11 +566,11 @@ def test_the_refused_line_is_named(value: str, code: str, planar3: Robot, tmp_pa
 
 def test_grippers_are_in_percent(tmp_path: Path) -> None:
     """LeRobot keeps the gripper in 0 .. 100 whatever the unit of the arm; '.pos' is taken off the names; both said."""
-    robot = load_robot("so101")
+    robot = ml.load_robot("so101")
     state, g = np.tile(np.linspace(-20.0, 20.0, 40)[:, None], (1, robot.nv)), robot.joint_names.index("gripper")
     state[:, g] = np.linspace(0.0, 100.0, 40)
     root = lerobot(frames({0: state}), names=[f"{j}.pos" for j in robot.joint_names])(tmp_path)
-    demos = load_demonstrations(root, robot, units="degrees")
+    demos = ml.load_demonstrations(root, robot, units="degrees")
     ends = [robot.position_lower[g], robot.position_upper[g]]
     np.testing.assert_allclose(demos[0].q[[0, -1], g], ends, rtol=0, atol=1e-6)
     np.testing.assert_allclose(demos[0].q[:, g - 1], np.radians(state[:, g - 1]), rtol=0, atol=1e-6)
@@ -583,7 +580,7 @@ def test_grippers_are_in_percent(tmp_path: Path) -> None:
 def test_efforts_of_locked_joints_are_dropped(tmp_path: Path) -> None:
     """The efforts of the joints that move are kept."""
     path = table(HEADER + ",joint1_effort,joint2_effort,joint3_effort", TABLE, EFFORT)(tmp_path)
-    (t,) = load_demonstrations(path, load_robot("planar3", locked={"joint2": 1.0}))
+    (t,) = ml.load_demonstrations(path, ml.load_robot("planar3", locked={"joint2": 1.0}))
     np.testing.assert_array_equal(t.effort, EFFORT[:, [0, 2]])
 
 
@@ -659,24 +656,24 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def test_paths_may_be_strings_lists_and_folders(planar3: Robot, folder: Path) -> None:
+def test_paths_may_be_strings_lists_and_folders(planar3: ml.Robot, folder: Path) -> None:
     """One path, several, and their folder give the same, in natural order and each once; a list may mix formats."""
     files = [folder / f"demo_{i}.csv" for i in range(1, 13)]
     for paths in (files, [str(f) for f in files], iter(files), folder, str(folder), [folder]):
-        assert [t.name for t in load_demonstrations(paths, planar3)] == [f.name for f in files]
-    demos = load_demonstrations([folder, files[1]], planar3, units="normalised")
+        assert [t.name for t in ml.load_demonstrations(paths, planar3)] == [f.name for f in files]
+    demos = ml.load_demonstrations([folder, files[1]], planar3, units="normalised")
     assert len(demos) == 12 and "read once" in demos.notes[0] and len(demos.notes) == 2
-    assert len(load_demonstrations([files[0], archive()(folder)], planar3)) == 2
+    assert len(ml.load_demonstrations([files[0], archive()(folder)], planar3)) == 2
     assert refusal(folder, planar3).code == "mixed-folder"
     for paths in ([], "", [""], [None], 7, None):
         with case(paths):
             refusal(paths, planar3)
 
 
-def test_progress_is_reported_after_each_file(planar3: Robot, folder: Path) -> None:
+def test_progress_is_reported_after_each_file(planar3: ml.Robot, folder: Path) -> None:
     """The callback gets the share of the files that have been read."""
     shares: list[float] = []
-    load_demonstrations(folder, planar3, progress=lambda _step, share: shares.append(share), episodes="0:3")
+    ml.load_demonstrations(folder, planar3, progress=lambda _step, share: shares.append(share), episodes="0:3")
     assert shares == [1 / 3, 2 / 3, 1.0]
 
 
@@ -695,7 +692,7 @@ def test_missing_libraries_name_the_extra(missing: str, module: str, extra: str,
 
 
 # ---- selected episodes
-def test_files_are_selected_by_natural_order(planar3: Robot, folder: Path) -> None:
+def test_files_are_selected_by_natural_order(planar3: ml.Robot, folder: Path) -> None:
     """demo_2 comes before demo_10; the order of the selection does not matter; a note tells what was left out. Ranges
     are half-open, from 0, and may go beyond the last file.
     """
@@ -703,12 +700,12 @@ def test_files_are_selected_by_natural_order(planar3: Robot, folder: Path) -> No
         "9,0:2": (1, 2, 10), (11,): (12,), range(1, 3): (2, 3), "0:2,5, 7": (1, 2, 6, 8), "10:": (11, 12), ":2": (1, 2),
         "9:99": (10, 11, 12),
     }.items():  # fmt: skip
-        demos = load_demonstrations(folder, planar3, episodes=chosen)
+        demos = ml.load_demonstrations(folder, planar3, episodes=chosen)
         assert [t.name for t in demos] == [f"demo_{i}.csv" for i in numbers]
         assert any(f"{len(numbers)} of 12 files selected" in note for note in demos.notes)
 
 
-def test_episodes_that_do_not_exist_name_near_ones(planar3: Robot, folder: Path) -> None:
+def test_episodes_that_do_not_exist_name_near_ones(planar3: ml.Robot, folder: Path) -> None:
     """Each item must select something: a number beyond the end is no silent empty selection, nor is episode 1 of two
     data sets.
     """
@@ -716,28 +713,28 @@ def test_episodes_that_do_not_exist_name_near_ones(planar3: Robot, folder: Path)
     refusal(folder, planar3, match=near, episodes="0:3,12")
     root = version_3(folder / "a")
     with pytest.raises(RecordingError, match="'7:9'") as caught:
-        RecordingSource(root, planar3, units="radians", episodes="7:9")
+        ml.RecordingSource(root, planar3, units="radians", episodes="7:9")
     assert caught.value.code == "no-episode"
     refusal([root, version_2(folder / "b")], planar3, match="name one data set", units="radians", episodes="1")
 
 
 # ---- options that match in some files, or in none
-def test_an_option_may_match_in_one_file_only(planar3: Robot, tmp_path: Path) -> None:
+def test_an_option_may_match_in_one_file_only(planar3: ml.Robot, tmp_path: Path) -> None:
     """A renaming that one file of a set needs is no mistake in the others; in none of them it is."""
     for i, names in enumerate((HEADER, "time,joint1,elbow,joint3")):
         table(names, TABLE, name=f"demo_{i}.csv")(tmp_path)
     options = {"rename": {"elbow": "joint2"}}
-    assert len(load_demonstrations(tmp_path, planar3, **options)) == 2
-    assert len(list(RecordingSource(tmp_path, planar3, **options))) == 2
+    assert len(ml.load_demonstrations(tmp_path, planar3, **options)) == 2
+    assert len(list(ml.RecordingSource(tmp_path, planar3, **options))) == 2
     refusal(tmp_path / "demo_0.csv", planar3, match="nothing in the recordings is called 'elbow'", **options)
 
 
 def test_recordings_read_in_parts_are_judged_together(monkeypatch: pytest.MonkeyPatch) -> None:
     """Recordings larger than memory: refused if no part had a use for the option, learning and auditing alike."""
     monkeypatch.setattr("manip_learn.recordings.load.PART_BYTES", 1)
-    sawyer, files = load_robot("sawyer"), sorted((DATA / "sawyer_drawer").glob("*.csv"))[:3]
+    sawyer, files = ml.load_robot("sawyer"), sorted((DATA / "sawyer_drawer").glob("*.csv"))[:3]
     features = ml.FrameJacobian(sawyer, "right_gripper_tip", "xyz", "world")
-    source = RecordingSource(files, sawyer, rename={"nope": "right_j0"})
+    source = ml.RecordingSource(files, sawyer, rename={"nope": "right_j0"})
     with pytest.raises(RecordingError, match="nope") as caught:
         ml.ConstraintLearner(features, n_constraints=2).fit(source)
     assert caught.value.code == "option"
@@ -749,12 +746,12 @@ def test_another_robot_is_suspected(tmp_path: Path) -> None:
         (HEADER, "it was recorded with 'planar3', not 'sawyer': name that robot"),
         ("time,left_a,left_b,left_c", "was it recorded with another robot than 'sawyer'?"),
     ):
-        assert words in str(refusal(table(names, TABLE)(tmp_path), load_robot("sawyer")))
+        assert words in str(refusal(table(names, TABLE)(tmp_path), ml.load_robot("sawyer")))
 
 
-def test_options_for_rollouts_are_refused_as_typed(planar3: Robot, tmp_path: Path, capsys) -> None:
+def test_options_for_rollouts_are_refused_as_typed(planar3: ml.Robot, tmp_path: Path, capsys) -> None:
     """A rollout is read as it was written: an option for recordings would be ignored in silence."""
-    run = Rollout(TIME, Q, U, TIME, ("ok",) * 60, planar3.joint_names, TIME, robot=RobotIdentity.of(planar3))
+    run = ml.Rollout(TIME, Q, U, TIME, ("ok",) * 60, planar3.joint_names, TIME, robot=RobotIdentity.of(planar3))
     path = str(run.save(tmp_path / "run.npz"))
     assert main(["replay", "planar3", path, "--html", str(tmp_path / "page.html"), "--topic", "/x"]) == 2
     assert "so --topic has no use" in capsys.readouterr().err

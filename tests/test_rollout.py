@@ -9,8 +9,6 @@ import pytest
 from conftest import tip_of
 
 import manip_learn as ml
-from manip_learn.constraint.features import CustomFeatures
-from manip_learn.control.policies import JointAttractor
 from manip_learn.errors import ConfigurationError
 
 
@@ -124,14 +122,14 @@ def test_many_starts_are_single_starts(name, robot_of, rng):
     """
     robot, n, told = None if name == "vector" else robot_of(name), 300 if name in ("sawyer", "ur5") else 3, []
     if robot is None:
-        plain = ml.Constraint([[1.0]], CustomFeatures(lambda q: q[None, :] + 1.0, ("a",), 2))
+        plain = ml.Constraint([[1.0]], ml.CustomFeatures(lambda q: q[None, :] + 1.0, ("a",), 2))
         controllers, starts = [ml.ResolvedRateController(plain)], np.array([[0.1, 0.2], [0.3, 0.4], [0.2, 0.0]])
     else:
         features = ml.FrameJacobian(robot, tip_of(name), "x y")
         target = features.coordinates(robot.random_configuration(rng))
         rows, rest = ml.Constraint([[0.6, 0.8]], features), robot.neutral()
         reach = rows, ml.PointAttractor(target), ml.ManipulabilityAscent(rows, 0.3)
-        track = rows, ml.Track(lambda t: target + 0.1 * t), JointAttractor(rest, 1.0, robot)
+        track = rows, ml.Track(lambda t: target + 0.1 * t), ml.JointAttractor(rest, 1.0, robot)
         controllers = [ml.ResolvedRateController(*reach)]
         if n == 3:
             controllers.append(ml.ResolvedRateController(*track, limits=False))

@@ -22,12 +22,8 @@ from recording_formats import pq, table
 import manip_learn as ml
 from manip_learn.cli import main
 from manip_learn.constraint.features import CustomFeatures, FrameJacobian, MechanismRows
-from manip_learn.constraint.skill import Skill, Step
 from manip_learn.control.rollout import Rollout, written_constraint
-from manip_learn.control.servo_loop import ServoLoop
 from manip_learn.errors import ConstraintMismatchError, OutputError, RecordingError, advice_for_command
-from manip_learn.playback import replay
-from manip_learn.recordings import load_demonstrations
 from manip_learn.recordings.saved_motion import motion_of_trajectory
 from manip_learn.recordings.writers.lerobot_writer import samples_per_second
 from manip_learn.recordings.writers.write_motion import joint_trajectory_bytes, nanoseconds
@@ -93,7 +89,7 @@ def test_a_rollout_comes_back_bit_for_bit(suffix: str, arms: Path, tmp_path: Pat
             assert getattr(loaded, name).tobytes() == getattr(rollout, name).tobytes()
         assert (loaded.status, loaded.joint_names, loaded.frame) == (rollout.status, rollout.joint_names, "tip")
         assert loaded.robot == RobotIdentity.of(robot) and loaded.robot.locked == {"j2": 1.2}
-    demos = load_demonstrations(path, robot)
+    demos = ml.load_demonstrations(path, robot)
     assert demos.notes == ()
     for name in ("time", "q", "u"):
         assert getattr(demos[0], name).tobytes() == getattr(rollout, name).tobytes()
@@ -105,13 +101,13 @@ def test_a_rollout_comes_back_bit_for_bit(suffix: str, arms: Path, tmp_path: Pat
 def test_a_rollout_can_be_learnt_from_again(planar3: Robot, robot_of, tmp_path: Path) -> None:
     """The same motion, limits are not used to doubt our own units; continuous joints as (cos, sin) become angles."""
     rollout = Rollout(TIME, Q * 10.0, U * 10.0, TIME, ("ok",) * 60, planar3.joint_names, TIME)
-    demos = load_demonstrations(rollout.save(tmp_path / "r.npz"), planar3)
+    demos = ml.load_demonstrations(rollout.save(tmp_path / "r.npz"), planar3)
     assert any("beyond their limits" in note for note in demos.notes)
     wrist = robot_of("wrist")
     positions = np.column_stack([3.0 + TIME, 0.1 * TIME, 6.0 * TIME, 0.2 * TIME])
     q, u = np.array([wrist.configuration(p) for p in positions]), np.gradient(positions, TIME, axis=0)
     turning = Rollout(TIME, q, u, TIME, ("ok",) * 60, wrist.joint_names, TIME).save(tmp_path / "r.npz")
-    demos = load_demonstrations(turning, wrist)
+    demos = ml.load_demonstrations(turning, wrist)
     np.testing.assert_allclose(demos[0].q, positions, rtol=0, atol=1e-9)
     assert "full turns added" in " ".join(demos.notes)
 
@@ -137,8 +133,8 @@ def test_no_file_is_used_with_another_robot_in_silence(number: int, arms: Path, 
     page, path = tmp_path / "page.html", rollout_of(own).save(tmp_path / ("run.npz", "run.csv")[number % 2])
     for use in (
         lambda: Rollout.load(path, other),
-        lambda: load_demonstrations(path, other),
-        lambda: replay(other, {"a": Rollout.load(path)}, page, open_browser=False),
+        lambda: ml.load_demonstrations(path, other),
+        lambda: ml.replay(other, {"a": Rollout.load(path)}, page, open_browser=False),
     ):
         with pytest.raises(RecordingError, match=repr(own.name)) as caught:
             use()
@@ -167,7 +163,7 @@ def test_files_without_a_robot(robot: Robot, arms: Path, tmp_path: Path) -> None
         Rollout.load(unknown, load_robot(arms / "joints.urdf"))
     arrays = {name: getattr(rollout_of(robot), name) for name in ARRAYS}
     np.savez(tmp_path / "old.npz", format="manip_learn.rollout", joint_names=robot.joint_names, frame="tip", **arrays)
-    for read in (Rollout.load, load_demonstrations):
+    for read in (Rollout.load, ml.load_demonstrations):
         with pytest.raises(RecordingError, match="early version wrote this file") as caught:
             read(tmp_path / "old.npz", robot)
         assert caught.value.code == "not-a-rollout"
@@ -193,7 +189,7 @@ def test_a_rollout_keeps_what_guided_it(suffix: str, robot_of, tmp_path: Path) -
     robot = robot_of("sawyer")
     constraint = ml.Constraint(np.eye(3)[1:], FrameJacobian(robot, "right_hand", "xyz"), {"kind": "motion-constrained"})
     law = ml.ResolvedRateController(constraint, ml.PointAttractor([0.6, 0.2, 0.4]))
-    rollout = ml.simulate(robot, ServoLoop(law, 0.01), robot.neutral(), 0.05, 0.01)
+    rollout = ml.simulate(robot, ml.ServoLoop(law, 0.01), robot.neutral(), 0.05, 0.01)
     slipping = replace(rollout, following_error=np.linspace(0.0, 0.1, len(rollout)))
     loaded = Rollout.load(slipping.save(tmp_path / f"run.{suffix}"), robot)
     assert loaded.target is not None and loaded.target.tolist() == [0.6, 0.2, 0.4] and loaded.constraint is not None
@@ -240,8 +236,8 @@ def door(planar3: Robot, tmp_path: Path) -> Path:
     provenance = json.loads(OF_02.read_text())["provenance"] | {"kept": {"z": -0.0, "a": [1.0, 1e-7]}}
     rows = MechanismRows(planar3, "tip", "radial axial", axis=(0, 0, 1), point=(0.4, 0.3, 0.0), radius=1.25)
     constraint = ml.Constraint([[0.6, 0.8]], rows, provenance)
-    way = Step("way", constraint, constraint.shown, "close")
-    return Skill((constraint,), (Step("reach", constraint), way)).save(tmp_path / "c.json")
+    way = ml.Step("way", constraint, constraint.shown, "close")
+    return ml.Skill((constraint,), (ml.Step("reach", constraint), way)).save(tmp_path / "c.json")
 
 
 def test_a_constraint_file_comes_back_if_another_program_wrote_it(planar3: Robot, door: Path, tmp_path: Path) -> None:
@@ -258,7 +254,7 @@ def test_a_constraint_file_comes_back_if_another_program_wrote_it(planar3: Robot
         assert first.notes == other.notes == ()
         for q in ROWS_OF_02:
             np.testing.assert_array_equal(other(q), first(q))
-        steps = Skill.load(again, planar3).steps
+        steps = ml.Skill.load(again, planar3).steps
         assert [(step.kind, step.gripper) for step in steps] == [("reach", None), ("way", "close")]
     old = ml.Constraint.load(OF_02, planar3, same_urdf=False)
     new = ml.Constraint.load(old.save(again), planar3)
@@ -359,7 +355,7 @@ def test_recordings_come_back(to: str, arms: Path, robot: Robot, tmp_path: Path,
     assert (answer["format"], answer["trajectories"], answer["samples"]) == (to, 2, 80)
     names = ["out"] if to == "lerobot" else [f"0_demo_0.{to}", f"1_demo_1.{to}"]
     assert [Path(file).name for file in answer["files"]] == names
-    before, after = load_demonstrations(arms / "demos", robot), load_demonstrations(out, robot)
+    before, after = ml.load_demonstrations(arms / "demos", robot), ml.load_demonstrations(out, robot)
     for a, b in zip(before, after, strict=True):
         assert a.q.tobytes() == b.q.tobytes()
         assert a.u is not None and b.u is not None and a.u.tobytes() == b.u.tobytes()

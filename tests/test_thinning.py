@@ -12,7 +12,6 @@ from scale_motions import motions
 from task_sets import generated, true_rows
 
 import manip_learn as ml
-from manip_learn.constraint.features import FrameJacobian
 from manip_learn.errors import NotIdentifiableError
 from manip_learn.learning.table import EvenChoice, read_evenly
 from manip_learn.linalg import orthonormal_rows, row_space_angle
@@ -24,8 +23,8 @@ HELD = {"velocities": "recorded", "n_constraints": 2, "estimator": "null-space"}
 
 
 @pytest.fixture(scope="module")
-def features() -> FrameJacobian:
-    return FrameJacobian(ml.load_robot("sawyer"), "right_gripper_tip", "xyz")
+def features() -> ml.FrameJacobian:
+    return ml.FrameJacobian(ml.load_robot("sawyer"), "right_gripper_tip", "xyz")
 
 
 @pytest.fixture(scope="module")
@@ -101,7 +100,7 @@ def test_phases_are_found_in_a_choice():
     price of a change that no evidence pays no recording falls into phases.
     """
     truth, given = generated("drawer", "sawyer", 5, 8)
-    features = FrameJacobian(ml.load_robot("sawyer"), truth["tip"], "xyz")
+    features = ml.FrameJacobian(ml.load_robot("sawyer"), truth["tip"], "xyz")
     whole = ml.ConstraintLearner(features).fit(given)
     chosen = ml.ConstraintLearner(features, most_samples=sum(map(len, given)) // 2).fit(given)
     assert np.degrees(row_space_angle(true_rows(truth), chosen.constraint_.selection)) < 0.2

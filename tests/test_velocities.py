@@ -15,7 +15,6 @@ from generated_motions import angle_deg, arm_features, guided_motions, oblique, 
 import manip_learn as ml
 from manip_learn.errors import NotIdentifiableError, RecordingError
 from manip_learn.recordings.given import recordings_given
-from manip_learn.recordings.trajectory import Demonstrations, Trajectory
 from manip_learn.recordings.velocities import derive_velocities, jerk, noise_variance, with_velocities
 
 FEATURES = arm_features()
@@ -33,12 +32,12 @@ def recorded(seed: int, noise: float, dt: float = 0.01, n_points: int = 200, n_t
     rng = np.random.default_rng(seed)
     true, truth = guided_motions(FEATURES, oblique(2, 3, rng), rng, n_trajectories, n_points, dt)
     noisy = [
-        Trajectory(t.time, t.q + noise * rng.standard_normal(t.q.shape), None, t.joint_names, t.name) for t in true
+        ml.Trajectory(t.time, t.q + noise * rng.standard_normal(t.q.shape), None, t.joint_names, t.name) for t in true
     ]
-    return true, Demonstrations(noisy), truth
+    return true, ml.Demonstrations(noisy), truth
 
 
-def error_of(true: Trajectory, derived: Trajectory) -> float:
+def error_of(true: ml.Trajectory, derived: ml.Trajectory) -> float:
     """Root mean square error of the velocities, relative to their size."""
     return float(np.sqrt(np.mean((derived.u - true.u) ** 2) / np.mean(true.u**2)))
 
@@ -69,7 +68,7 @@ def test_lost_samples_and_uneven_stamps() -> None:
     rng = np.random.default_rng(3)
     time = np.delete(np.cumsum(rng.uniform(0.005, 0.02, 120)), [30, 31, 32, 33, 80])
     shapes = [np.polynomial.Chebyshev(rng.standard_normal(6), domain=[0.0, time[-1]]) for _ in range(7)]
-    derived = derive_velocities(Trajectory(time, np.stack([p(time) for p in shapes], axis=1)), ROBOT)
+    derived = derive_velocities(ml.Trajectory(time, np.stack([p(time) for p in shapes], axis=1)), ROBOT)
     np.testing.assert_allclose(derived.u, np.stack([p.deriv()(time) for p in shapes], axis=1), rtol=0, atol=1e-6)
     true, noisy, _ = recorded(5, 1e-4)
     kept = np.sort(rng.choice(200, 140, replace=False))
@@ -91,7 +90,7 @@ def test_joints_that_turn_for_ever_and_floating_bases(robot_of, rng):
             moved.append(base.integrate(moved[-1], 0.02 * u))
         cases.append((base, np.array(moved), u))
     for robot, q, true in cases:
-        derived = derive_velocities(Trajectory(time[: len(q)], q, None, robot.joint_names), robot)
+        derived = derive_velocities(ml.Trajectory(time[: len(q)], q, None, robot.joint_names), robot)
         np.testing.assert_allclose(derived.u, np.tile(true, (len(q), 1)), atol=1e-9)
 
 
@@ -100,7 +99,7 @@ def test_recorded_velocities_are_used_as_asked() -> None:
     not a number are refused.
     """
     true, noisy, _ = recorded(6, 1e-4)
-    mixed = Demonstrations([replace(true[0], u=2.0 * true[0].u, exact=False), noisy[1]], ["read from files"])
+    mixed = ml.Demonstrations([replace(true[0], u=2.0 * true[0].u, exact=False), noisy[1]], ["read from files"])
     kept, derived = with_velocities(mixed, ROBOT, "recorded"), with_velocities(mixed, ROBOT)
     assert kept[0] is mixed[0] and kept.notes == mixed.notes and kept.has_velocities
     assert error_of(true[0], derived[0]) < 1e-2
@@ -110,7 +109,7 @@ def test_recorded_velocities_are_used_as_asked() -> None:
     with pytest.raises(RecordingError, match="give features of one"):
         with_velocities(noisy, None)
     with pytest.raises(RecordingError, match="is not a number"):
-        with_velocities(Demonstrations([replace(true[0], u=np.nan * true[0].u, exact=False)]), ROBOT, "recorded")
+        with_velocities(ml.Demonstrations([replace(true[0], u=np.nan * true[0].u, exact=False)]), ROBOT, "recorded")
 
 
 def moved(dt: float, noise: float, n: int = 1200) -> tuple[np.ndarray, np.ndarray]:
