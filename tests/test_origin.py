@@ -5,26 +5,24 @@ from __future__ import annotations
 import hashlib
 import re
 from datetime import UTC, datetime, timedelta
-from pathlib import Path
 
 import numpy as np
 import pytest
+from task_sets import DATA
 from test_playback import data_in
 
 import manip_learn as ml
 from manip_learn.learning.report import version
 
-ROOT = Path(__file__).resolve().parents[1]
-FILES = sorted((ROOT / "examples" / "data" / "sawyer_drawer").glob("*.csv"))[:3]
+FILES = sorted((DATA / "sawyer_drawer").glob("*.csv"))[:3]
 
 
 @pytest.fixture(scope="module")
 def learner() -> ml.ConstraintLearner:
-    """The drawer, from three files, with settings of its own."""
-    robot = ml.load_robot("sawyer")
-    features = ml.FrameJacobian(robot, "right_gripper_tip", axes="xyz")
+    """The drawer, learnt from three files with settings of its own."""
+    features = ml.FrameJacobian(ml.load_robot("sawyer"), "right_gripper_tip")
     learner = ml.ConstraintLearner(features, joint_offset_std=0.2, seed=np.int64(4))  # type: ignore[arg-type]
-    return learner.fit(ml.load_demonstrations(FILES, robot))
+    return learner.fit(ml.load_demonstrations(FILES, features.robot))
 
 
 def test_a_constraint_says_what_made_it(learner, tmp_path):

@@ -1,4 +1,4 @@
-"""Rollouts: their samples and parts, many at once, a controller of one's own, and the paper's singular start."""
+"""Rollouts: their samples and parts, many at once, and a controller of one's own."""
 
 from __future__ import annotations
 
@@ -29,21 +29,6 @@ def test_number_of_samples(robot_of):
         for rollout in (one, same):
             assert len(rollout) == steps + 1 == len(rollout.status)
             np.testing.assert_allclose(rollout.time, dt * np.arange(steps + 1), rtol=0, atol=1e-12)
-
-
-def test_escape_from_the_papers_singular_start(robot_of):
-    """From (90 + 1e-12, 360, -360) degrees the product's law arrives; the paper's law with no policy is stuck."""
-    robot = robot_of("planar3")
-    q0 = np.radians([90.0 + 1e-12, 360.0, -360.0])
-    zero = np.zeros(2)
-    rows = ml.Constraint(np.eye(2), ml.FrameJacobian(robot, "tip", "x y"))
-    climbing = ml.ResolvedRateController(rows, ml.PointAttractor(zero), ml.ManipulabilityAscent(rows))
-    rollout = ml.simulate(robot, climbing, q0, 8.0, 0.02)
-    assert rollout.task_error[0] == pytest.approx(3.0)
-    assert rollout.task_error[-1] < 0.01
-    assert np.min(rollout.manipulability[50:]) > 0.5
-    plain = ml.ResolvedRateController(rows, ml.PointAttractor(zero), inverse="truncated", limits=False)
-    assert ml.simulate(robot, plain, q0, 8.0, 0.02).task_error[-1] == pytest.approx(3.0, abs=1e-6)
 
 
 def test_parts_of_rollouts(robot_of):
