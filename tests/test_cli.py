@@ -55,13 +55,10 @@ def answer(run):
 
 @pytest.fixture(scope="module")
 def learnt(tmp_path_factory):
-    """A constraint file and a rollout file of the shipped drawer."""
-    folder = tmp_path_factory.mktemp("learnt")
-    constraint, rollout = folder / "drawer.json", folder / "run.npz"
+    """The constraint file of the shipped drawer."""
+    constraint = tmp_path_factory.mktemp("learnt") / "drawer.json"
     assert main(["learn", "sawyer", *DRAWER, *FRAME, "--out", str(constraint), "--json"]) == 0
-    control = ["control", "sawyer", str(constraint), "--start", "0,-1,0,1.5,0,1,0", "--target", "0.6,0.27,0.35"]
-    assert main([*control, "--duration", "3", "--out", str(rollout), "--json"]) == 0
-    return constraint, rollout
+    return constraint
 
 
 def run_program(*words, **options):
@@ -100,7 +97,7 @@ def test_the_next_line_does_the_task_when_it_is_pasted(run):
 
 def test_a_weak_task_has_the_time_that_it_takes(answer, learnt):
     """To come within half the tolerance: e^(-gain t) of the way is left; the keys of the contract are there."""
-    control = ("control", "sawyer", learnt[0], "--start", "0 -1 0 1.5 0 1 0", "--target", "0.6,0.27,0.35")
+    control = ("control", "sawyer", learnt, "--start", "0 -1 0 1.5 0 1 0", "--target", "0.6,0.27,0.35")
     slow = answer(*control, "--task-gain", "0.5", "--out", "slow.npz")
     error = Rollout.load("slow.npz").task_error[0]
     assert slow["duration"] == pytest.approx(np.log(2.0 * error / 0.01) / 0.5, abs=0.01)
@@ -111,7 +108,7 @@ def test_a_weak_task_has_the_time_that_it_takes(answer, learnt):
 
 def test_replay_shows_what_was_learnt(run, answer, learnt):
     """With the constraint file, the page has the phases and the mechanism that were saved with the constraint."""
-    content = json.loads(learnt[0].read_text(encoding="utf-8"))
+    content = json.loads(learnt.read_text(encoding="utf-8"))
     name = Path(DRAWER[0]).name
     phases = [[name, 0.2, 1.0, None], [name, 1.0, 2.5, 0], ["not shown", 0.0, 1.0, 0]]
     line = {"type": "line", "axis": [1, 0, 0], "point": [0.6, 0.2, 0.3], "sentence": "a line along (1.00, 0.00, 0.00)"}
@@ -119,7 +116,6 @@ def test_replay_shows_what_was_learnt(run, answer, learnt):
     Path("held.json").write_text(json.dumps(content), encoding="utf-8")
     answer("replay", "sawyer", DRAWER[0], "--constraint", "held.json", "--html", "a.html")
     data = data_in(Path("a.html"))
-    assert data["robot"]["tip"] == "right_gripper_tip"
     assert data["rollouts"][0]["phases"] == [[0.2, 1.0, -1], [1.0, 2.5, 0]]
     assert [k["label"] for k in data["phaseKinds"]] == ["constraint 1: line", "free motion"]
     assert data["mechanisms"][0]["sentence"] == line["sentence"]
@@ -199,7 +195,7 @@ INPUTS = {"robot": "arm.urdf", "driver": "driver.py", "constraint": "held.json",
     ("recordings", "rollouts", "files"), "rec_01.csv"
 )
 REPLACING = [
-    pytest.param(name, parameter.opts[0], read, id=f"{name} {parameter.opts[0]} {read}")
+    (name, parameter.opts[0], read)
     for name, command in sorted(program.commands.items())
     for parameter in command.params
     if parameter.name in WRITTEN
@@ -222,30 +218,24 @@ def test_no_output_replaces_an_input(run, tmp_path, name, flag, read):
             line += [spec] if parameter.param_type_name == "argument" else [parameter.opts[0], spec]
     Path("link").symlink_to(source)
     Path("hard").hardlink_to(source)
-    spellings = [(line, out) for out in (source, f"folder/../{source}", str(tmp_path / source), "link", "hard")]
-    if source == "rec_01.csv":
-        spellings.append((["folder" if word == source else word for word in line], "folder/rec_02.csv"))
-    if source == "arm.urdf":  # its mesh
-        spellings.append((line, "folder/base.stl"))
+    outputs = [source, f"folder/../{source}", str(tmp_path / source), "link", "hard"]
+    outputs += {"rec_01.csv": ["folder/rec_02.csv"], "arm.urdf": ["folder/base.stl"]}.get(source, [])
     before = {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
-    for words, out in spellings:
+    for out in outputs:
+        words = ["folder" if word == source and out == "folder/rec_02.csv" else word for word in line]
         code, said, err = run(*words, flag, out)
         assert (code, said, err.count("\n")) == (2, "", 1) and "would replace an input" in err, (words, out, err)
     assert {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()} == before
 
 
-def test_help_has_headings(run, monkeypatch):
-    """What learning, reading, the robot and the output have to offer, each under its heading, within the terminal; a
-    beginner's options first, the others by their names alone.
-    """
+def test_help_has_the_common_options_first(run, monkeypatch):
+    """`--help` explains a beginner's options and names the others, which `--help-all` explains, within the terminal."""
     monkeypatch.setenv("COLUMNS", "60")
     (_, short, _), (code, out, _) = run("learn", "--help"), run("learn", "--help-all")
     assert code == 0 and max(map(len, (short + out).splitlines())) <= 60
     first, others = short.split("--help-all explains also")
     assert "  --frame " in first and "--lock" not in first and "--lock," in others and "--frame" not in others
     assert others.split() and all(f"  {flag} " in out for flag in others.replace(",", "").split())
-    headings = [line for line in out.splitlines() if line.endswith(":") and line[0] != " "]
-    assert headings == ["Arguments:", "Options:", "Robot:", "Reading recordings:", "Output:"]
 
 
 EXAMPLES = {name: command.callback.example.split()[1:] for name, command in program.commands.items()}
@@ -272,13 +262,6 @@ def test_every_help_begins_with_an_example_that_works(run, monkeypatch):
             continue
         code, _, err = run(*EXAMPLES[name], *(["--duration", "0.1", "--no-browser"] if name == "record" else []))
         assert code == 0, (name, err)
-
-
-def test_a_rollout_is_shown_by_its_name_alone(run, learnt):
-    """The file knows its robot, and a constraint may be shown with it."""
-    for more in ([], ["--constraint", learnt[0]], ["--tip", "right_hand"]):
-        assert run("replay", learnt[1], *more)[0] == 0, more
-        assert data_in(Path("replay.html"))["robot"]["tip"] == (more[1] if "--tip" in more else FRAME[1])
 
 
 def test_exported_files_are_named_after_their_recordings(run, answer):

@@ -256,6 +256,7 @@ def test_command_records_and_says_what_was_shown(tmp_path: Path, capsys):
         "arm.py:broken": "OSError: no port",
         "other.py:Arm": "does not exist",
         "arm.py": "FILE.py:NAME",
+        "arm.py:np": "no driver",
     }.items():
         with case(driver):
             assert main(["record", f"{tmp_path}/{driver}", "--out", str(tmp_path / "x"), "--no-browser"]) == 2
