@@ -48,13 +48,12 @@ from manip_learn.errors import MissingExtraError, RecordingError
 from manip_learn.recordings.streams import JointStates, joint_groups, merge
 from manip_learn.robot.identity import RobotIdentity
 
-
 EFFORT = np.column_stack([np.exp(TIME), -3.0 * TIME, 1.0 / 3.0 + TIME])
 NAMES = ",".join(JOINTS)
 
 
 class Read(NamedTuple):
-    """What a recording is read as; of several, lists."""
+    """Expected contents of a recording; lists if it has several trajectories."""
 
     build: Build
     options: dict[str, Any]
@@ -144,7 +143,6 @@ ARCHIVES = {
 RADIANS = {"units": "radians", "time": np.arange(80) / FPS}
 ONE, FOUR = motion(0).astype(np.float32), [motion(i).astype(np.float32) for i in (0, 1, 2, 10)]
 SPEED = np.gradient(motion(0), 1 / FPS, axis=0)
-SHORT = SPEED.astype(np.float32)
 WHOLE = frames({0: motion(0), 1: motion(1)})
 KEY = "observation.state.joint_position"
 NAMED: dict[str, Any] = {"joint_names": JOINTS, "units": "radians", "feature": KEY}
@@ -202,7 +200,7 @@ LEROBOT = {
     ),
     "velocities in the state": read(
         lerobot(frames({0: np.hstack([motion(0), SPEED])}), names=[f"{j}.{k}" for k in ("pos", "vel") for j in JOINTS]),
-        "", q=ONE, u=SHORT, **RADIANS,
+        "", q=ONE, u=SPEED.astype(np.float32), **RADIANS,
     ),
     **{
         f"names {names}": read(lerobot(frames({0: motion(0)}), names=names), q=ONE, **RADIANS)
@@ -250,9 +248,6 @@ PACKED: tuple[tuple[str, dict[str, Any]], ...] = (
 COMMANDED = bag("mcap", all_in_one(topic="/real"), all_in_one(q=Q + 0.1, topic="/command"))
 HALF = [("/slide", START + int(s) + 10**7, (START + int(s) + 10**7, ("joint3", "finger"), (0.5e-9 * (s + 10**7), 0.01)))
         for s in STEPS[::2]]  # fmt: skip
-FIRST = [(t, s, (s, n, q, U[0, :2])) for t, s, (_, n, q, *_) in some("/joint_states", (0, 1))]
-NO_FINGER = [(t, s, c[:3]) for t, s, c in some("/joint_states", (2,))]
-ELSEWHERE = np.delete(Q, 20, axis=0), np.delete(TIME, 20)
 
 
 def but_one(change: Any, messages: list[Message] | None = None) -> list[Message]:
@@ -280,13 +275,12 @@ BAGS = {
         "2 samples left out", q=Q[1:-1], time=TIME[:-2], atol=1e-9,
     ),
     "efforts of some messages": read(bag("mcap", but_one(lambda *c: c[:4], some("/joint_states", (0, 1, 2)))), ""),
-    "two kinds of messages": read(bag("sqlite", FIRST, NO_FINGER), "velocities are not used", atol=1e-12),
     "a command beside": read(COMMANDED, "/command", u=U),
     "the command": read(COMMANDED, "", q=Q + 0.1, u=U, topics=["/command"]),
     "one message of other joints": read(
         bag("mcap", but_one(lambda s, _, *c: (s, ("joint1", "joint2", "jointX"), *c))),
-        "1 message of /joint_states with another list of joints are not used", q=ELSEWHERE[0], time=ELSEWHERE[1],
-        u=np.delete(U, 20, axis=0),
+        "1 message of /joint_states with another list of joints are not used", time=np.delete(TIME, 20),
+        q=np.delete(Q, 20, axis=0), u=np.delete(U, 20, axis=0),
     ),
     "some stamps": read(bag("mcap", but_one(lambda _, *c: (0, *c))), "not set", u=U),
     "two hosts on one topic": read(
@@ -337,8 +331,8 @@ GAPS = {
     "text": ("not-a-number", pa.array([[str(x) for x in row] for row in STATES])),
 }
 FEATURES = {
-    "misspelt": ("observation.state.joint_positon", f"did you mean '{KEY}'"),
-    "a video": ("observation.images.wrist", "holds video, joint positions are a vector of numbers"),
+    "observation.state.joint_positon": f"did you mean '{KEY}'",
+    "observation.images.wrist": "holds video, joint positions are a vector of numbers",
 }
 
 
@@ -441,6 +435,7 @@ def packed(kind: str, spoil: Any, **options: Any) -> Unfit:
 
 POSITIONLESS = [(t, r, (s, n, (), u)) for t, r, (s, n, _, u) in all_in_one()]
 GUI = [(t, r + 8_000_000, (s + 8_000_000, n, Q[0] + 0.4)) for t, r, (s, n, *_) in all_in_one()]
+TWICE = but_one(lambda s, n, q, _: (s, (*n, "joint2"), (*q, 0.5)))
 # names of joints come before arrays that could be positions
 NAMES_FIRST = npz(joint_names=np.array(JOINTS), t=TIME, alpha=Q, beta=Q)
 REFUSED = {
@@ -455,12 +450,9 @@ REFUSED = {
         for bad in ("q", "{joint}{index}", ["a{joint}", "b{joint}", "c{joint}"])
     },
     "a joint too many": unfit(
-        "unknown-column", "no joint of robot 'planar3' matches this column",
-        archive(q=TABLE[:, [1, 2, 3, 3]], u=None, joint_names=[*JOINTS, "copy"]),
+        "unknown-column", "no joint of robot", archive(q=TABLE, u=None, joint_names=["copy", *JOINTS])
     ),
-    "a joint that is ignored": unfit(
-        "missing-joint", "nothing is recorded for joint 'joint1'", archive(u=None), ignore_columns=["joint1"]
-    ),
+    "a joint that is ignored": unfit("missing-joint", "joint 'joint1'", archive(u=None), ignore_columns=["joint1"]),
     **{
         f"LeRobot units like {units}": unfit("units", f"'{units}'", scaled(factor))
         for units, factor in (("radians", 1.0), ("degrees", 57.29578), ("normalised", 30.0))
@@ -474,8 +466,8 @@ REFUSED = {
     "LeRobot, no object": unfit("damaged", "", lerobot(WHOLE, described=[]), units="radians"),
     "LeRobot, names of others": unfit("missing-joint", "", lerobot(WHOLE, names=list("abc")), units="radians"),
     **{
-        f"LeRobot feature, {name}": unfit("no-state", said, droid, **{**NAMED, "feature": feature})
-        for name, (feature, said) in FEATURES.items()
+        f"feature {name}": unfit("no-state", words, droid, **NAMED | {"feature": name})
+        for name, words in FEATURES.items()
     },
     "LeRobot stamps against fps": unfit(
         "fps", "say 30 frames per second, fps says 50", stamped(STAMPS / 30.0), units="radians"
@@ -489,10 +481,7 @@ REFUSED = {
     "a forgotten GUI": unfit(
         "two-publishers", "joint.*Two programs published on one topic", bag("sqlite", all_in_one(u=None), GUI)
     ),
-    "a joint twice": unfit(
-        "duplicate-column", "name the joint 'joint2' 2 times",
-        bag("mcap", but_one(lambda s, n, q, _: (s, (*n, "joint2"), (*q, 0.5)))),
-    ),
+    "a joint twice": unfit("duplicate-column", "name the joint 'joint2' 2 times", bag("mcap", TWICE)),
     "a bomb in a block": packed("ros1", bomb_in_a_block, compression=Writer1.CompressionFormat.BZ2),
     "a claimed terabyte": packed("mcap", claimed_terabyte, mode=CompressionMode.STORAGE),
     "a packed bomb": packed("sqlite", lambda path: path.write_bytes(BOMB), mode=CompressionMode.FILE),
@@ -692,7 +681,7 @@ def test_an_option_may_match_in_one_file_only(planar3: ml.Robot, tmp_path: Path,
     refusal(tmp_path / "demo_0.csv", planar3, match="nothing in the recordings is called 'elbow'", **options)
     monkeypatch.setattr("manip_learn.recordings.load.PART_BYTES", 1)
     assert len(list(ml.RecordingSource(tmp_path, planar3, **options))) == 2
-    source = ml.RecordingSource(tmp_path, planar3, rename={"nope": "joint1"})
+    source = ml.RecordingSource(tmp_path, planar3, rename={"elbow": "joint2", "nope": "joint1"})
     with pytest.raises(RecordingError, match="nope"):
         ml.ConstraintLearner(ml.FrameJacobian(planar3, "tip", "x y")).fit(source)
 

@@ -170,17 +170,15 @@ def test_files_without_a_robot(robot: Robot, arms: Path, tmp_path: Path) -> None
 
 
 def test_another_ending_is_refused(robot: Robot, tmp_path: Path) -> None:
-    """The ending says the format; one that says nothing is an error that lists the formats, as is one that went; what
-    cannot be a rollout again is not read as one.
+    """An unknown ending, or that of a removed format, is refused with a list of the formats; a bag, which is written,
+    is not read as a rollout.
     """
     rollout = rollout_of(robot)
-    gone = r"JSON lines are not written any more; \.npz and \.csv"
-    for name, said in (("run.xyz", r"\.npz, \.csv, \.mcap"), ("run.jsonl", gone)):
-        with pytest.raises(OutputError, match=said):
+    for name, words in (("run.xyz", r"\.npz, \.csv, \.mcap"), ("run.jsonl", "JSON lines are not written any more")):
+        with pytest.raises(OutputError, match=words):
             rollout.save(tmp_path / name)
-    with pytest.raises(RecordingError, match=r"\.npz and \.csv|\.npz or \.csv") as caught:
+    with pytest.raises(RecordingError, match=r"\.npz and \.csv|\.npz or \.csv"):
         Rollout.load(rollout.save(tmp_path / "run.mcap"))
-    assert caught.value.code == "not-a-rollout"
 
 
 @FORMATS
@@ -264,19 +262,15 @@ def test_a_constraint_file_comes_back_if_another_program_wrote_it(planar3: Robot
     assert json.loads(again.read_text())["schema"] == 2 and new.provenance == old.provenance
 
 
-NO_FINITE = "c.json is damaged: .* finite number"
-# entry of a constraint file -> another value, and what is said
+AFTER = 'c.json was changed after .* delete the entry "sha256"'
+# entry of a constraint file, another value, words of the refusal
 CHANGED: list[tuple[str, Any, str]] = [
-    *((key, value, 'c.json was changed after .* delete the entry "sha256"') for key, value in (
-        ("features.radius", 1.2500001), ("features.point", [0.4, 0.3, 1e-6]), ("provenance.shown.extent", 0.5),
-        ("skill.steps", []),
-    )),
-    *(("schema", n, re.escape(f"c.json has schema {n!r}, this version reads 1 and 2: load it with a newer"))
-      for n in (3, 0, "2", None, [2])),
-    *((f"provenance.{key}", [value], NO_FINITE) for key in ("gap", "shown") for value in (
-        float("nan"), float("-inf"), "1e999",
-    )),
-]  # fmt: skip
+    ("features.radius", 1.2500001, AFTER),
+    ("provenance.shown.extent", 0.5, AFTER),
+    ("skill.steps", [], AFTER),
+    *(("schema", n, "this version reads 1 and 2: load it with a newer") for n in (3, 0, "2", None, [2])),
+    *(("provenance.gap", [x], "c.json is damaged: .* finite number") for x in (np.nan, -np.inf, "1e999")),
+]
 
 
 @pytest.mark.parametrize("old", [False, True])
@@ -294,9 +288,9 @@ def test_what_was_changed_in_a_constraint_file_is_refused(old: bool, planar3: Ro
         inner[last] = value
         door.write_text(json.dumps(content).replace('"1e999"', "1e999"))
 
-    for key, value, said in CHANGED:
+    for key, value, words in CHANGED:
         change(key, value)
-        with case(key, value), pytest.raises(ConstraintMismatchError, match=said):
+        with case(key, value), pytest.raises(ConstraintMismatchError, match=words):
             ml.Constraint.load(door, planar3)
     change("provenance.sentence", "another one")
     assert ml.Constraint.load(door, planar3).provenance["sentence"] == "another one"
@@ -353,8 +347,6 @@ def test_recordings_come_back(to: str, arms: Path, robot: Robot, tmp_path: Path,
     assert main(words) == 0
     answer = json.loads(capsys.readouterr().out)
     assert (answer["format"], answer["trajectories"], answer["samples"]) == (to, 2, 80)
-    names = ["out"] if to == "lerobot" else [f"0_demo_0.{to}", f"1_demo_1.{to}"]
-    assert [Path(file).name for file in answer["files"]] == names
     before, after = ml.load_demonstrations(arms / "demos", robot), ml.load_demonstrations(out, robot)
     for a, b in zip(before, after, strict=True):
         assert a.q.tobytes() == b.q.tobytes()
@@ -461,14 +453,14 @@ def test_lerobot_metadata(arms: Path, tmp_path: Path) -> None:
 
 def test_stamps_are_whole_nanoseconds() -> None:
     """From zero, or from the first sample where a stamp could not hold that; what cannot be told apart is refused."""
-    for time, from_first, expected in (
-        ([3.0, 3.5], False, [3_000_000_000, 3_500_000_000]),
-        ([3.0, 3.5], True, [0, 500_000_000]),
-        ([-1.0, 0.5], False, [0, 1_500_000_000]),
-        ([2.0**31, 2.0**31 + 0.5], False, [0, 500_000_000]),
-        ([0.0, 0.6e-9], False, [0, 1]),
+    assert nanoseconds(np.array([3.0, 3.5]), from_first=True).tolist() == [0, 500_000_000]
+    for time, expected in (
+        ([3.0, 3.5], [3_000_000_000, 3_500_000_000]),
+        ([-1.0, 0.5], [0, 1_500_000_000]),
+        ([2.0**31, 2.0**31 + 0.5], [0, 500_000_000]),
+        ([0.0, 0.6e-9], [0, 1]),
     ):
-        assert nanoseconds(np.array(time), from_first=from_first).tolist() == expected
+        assert nanoseconds(np.array(time), from_first=False).tolist() == expected
     for time in ([0.0, 0.4e-9], [0.0, np.nan], [0.0, 2.0**31], [1.0, 0.5]):
         with case(time), pytest.raises(OutputError):
             nanoseconds(np.array(time), from_first=False)
