@@ -31,12 +31,16 @@ def one(name: str, write: Callable[[Path], Any]) -> Build:
     return lambda folder: (write(folder / name), folder / name)[1]
 
 
-def table(header: str, *parts: Any, name: str = "a.csv") -> Build:
-    """Text, all digits; a part is one column or, of shape (T, n), n of them."""
+def rows_of(*parts: Any, mark: str = ",") -> str:
+    """Return text with all digits; a part is one column or, of shape (T, n), n of them."""
     each = [c for x in parts for c in (x.T if isinstance(x, np.ndarray) and x.ndim == 2 else [x])]
     lines = zip(*(c.tolist() if isinstance(c, np.ndarray) else c for c in each), strict=True)
-    content = "".join(",".join(map(str, line)) + "\n" for line in lines)
-    return one(name, lambda path: path.write_text(f"{header}\n{content}", encoding="utf-8", newline=""))
+    return "".join(mark.join(map(str, line)) + "\n" for line in lines)
+
+
+def table(header: str, *parts: Any, name: str = "a.csv") -> Build:
+    content = f"{header}\n{rows_of(*parts)}"
+    return one(name, lambda path: path.write_text(content, encoding="utf-8", newline=""))
 
 
 def archive(name: str = "a.npz", **arrays: Any) -> Build:

@@ -83,7 +83,7 @@ def test_a_rollout_comes_back_bit_for_bit(suffix: str, arms: Path, tmp_path: Pat
     """Every array, NaN and infinity, word, name, frame and the robot, in each format; as a demonstration too."""
     robot = load_robot(arms / "arm.urdf", locked={"j2": 1.2})
     rollout = rollout_of(robot)
-    path = rollout.save(tmp_path / f"run.{suffix}")
+    path = shutil.copy(rollout.save(tmp_path / f"run.{suffix}"), tmp_path / "a b.txt")  # the content says the format
     for loaded in (Rollout.load(path), Rollout.load(path, robot)):
         for name in ARRAYS:
             assert getattr(loaded, name).tobytes() == getattr(rollout, name).tobytes()
@@ -93,9 +93,6 @@ def test_a_rollout_comes_back_bit_for_bit(suffix: str, arms: Path, tmp_path: Pat
     assert demos.notes == ()
     for name in ("time", "q", "u"):
         assert getattr(demos[0], name).tobytes() == getattr(rollout, name).tobytes()
-    odd = shutil.copy(path, tmp_path / "a b.txt")  # the content says the format
-    assert Rollout.load(odd, robot).q.tobytes() == rollout.q.tobytes()
-    refusal(odd, load_robot(arms / "longer.urdf"), match="'arm'")
 
 
 def test_a_rollout_can_be_learnt_from_again(planar3: Robot, robot_of, tmp_path: Path) -> None:
@@ -161,8 +158,7 @@ def test_files_without_a_robot(robot: Robot, arms: Path, tmp_path: Path) -> None
         assert Rollout.load(unknown, robot).robot is None
     with pytest.raises(RecordingError, match="wrist"):
         Rollout.load(unknown, load_robot(arms / "joints.urdf"))
-    arrays = {name: getattr(rollout_of(robot), name) for name in ARRAYS}
-    np.savez(tmp_path / "old.npz", format="manip_learn.rollout", joint_names=robot.joint_names, frame="tip", **arrays)
+    np.savez(tmp_path / "old.npz", format="manip_learn.rollout", joint_names=robot.joint_names, time=TIME, q=Q, u=U)
     for read in (Rollout.load, ml.load_demonstrations):
         with pytest.raises(RecordingError, match="early version wrote this file") as caught:
             read(tmp_path / "old.npz", robot)
@@ -349,9 +345,8 @@ def test_recordings_come_back(to: str, arms: Path, robot: Robot, tmp_path: Path,
     assert (answer["format"], answer["trajectories"], answer["samples"]) == (to, 2, 80)
     before, after = ml.load_demonstrations(arms / "demos", robot), ml.load_demonstrations(out, robot)
     for a, b in zip(before, after, strict=True):
-        assert a.q.tobytes() == b.q.tobytes()
-        assert a.u is not None and b.u is not None and a.u.tobytes() == b.u.tobytes()
-        assert a.effort is not None and b.effort is not None and a.effort.tobytes() == b.effort.tobytes()
+        for name in ("q", "u", "effort"):
+            assert getattr(a, name).tobytes() == getattr(b, name).tobytes()
         start = 0.0 if to == "csv" else a.time[0]  # the others count from the first sample
         assert to == "mcap" or (a.time - start).tobytes() == b.time.tobytes()
         np.testing.assert_array_equal(np.rint(1e9 * (a.time - start)), np.rint(1e9 * b.time))
