@@ -94,76 +94,72 @@ def line_9(line: str) -> Write:
     return text("\n".join([*LINES[:8], line, *LINES[9:]]))
 
 
-def text_cases() -> list[tuple]:
-    """Tables that are written in an odd or wrong way."""
-    return [
-        ("good.csv", "accept", text(GOOD)),
-        ("good_velocities.csv", "accept", numbers(FULL)),
-        ("semicolon.csv", "accept", text(csv(TABLE, delimiter=";"))),
-        ("semicolon_decimal_comma.csv", "accept", text(csv(TABLE, delimiter=";", mark=","))),
-        ("tab.tsv", "accept", text(csv(TABLE, delimiter="\t"))),
-        ("spaces.txt", "accept", text(csv(TABLE, delimiter="   "))),
-        ("byte_order_mark.csv", "accept", text("\ufeff" + GOOD)),
-        ("utf16.csv", "encoding", text(GOOD, "utf-16")),
-        ("windows_lines.csv", "accept", text(GOOD.replace("\n", "\r\n"))),
-        ("old_mac_lines.csv", "accept", text(GOOD.replace("\n", "\r"))),
-        ("comments.csv", "accept", text("# made by hand\n% and so\n\n" + GOOD)),
-        ("no_extension", "accept", text(GOOD)),
-        ("wrong_extension.bag", "accept", text(GOOD)),
-        ("no_last_line_end.csv", "note", text(GOOD.rstrip("\n"))),
-        ("commented_header.csv", "note", text("# " + GOOD)),
-        ("empty.csv", "empty", text("")),
-        ("blank.csv", "empty", text("\n\n  \n")),
-        ("header_only.csv", "too-short", text(HEADER + "\n")),
-        ("one_row.csv", "too-short", numbers(TABLE[:1])),
-        ("stamp.csv", "note", numbers(TABLE, "stamp,joint1,joint2,joint3")),
-        ("no_time.csv", "no-time", numbers(TABLE, "zeit,joint1,joint2,joint3")),
-        ("unnamed_column.csv", "note", columns(HEADER + ",", TABLE, TIME)),
-        ("column_twice.csv", "duplicate-column", numbers(TABLE, "time,joint1,joint1,joint3")),
-        ("extra_velocity.csv", "unknown-column", columns(HEADER + VELOCITIES + ",joint9_velocity", FULL, TIME)),
-        ("some_velocities.csv", "accept", columns(HEADER + VELOCITIES[:32], FULL[:, :6])),
-        ("text_in_number.csv", "not-a-number", line_9("0.14,0.1,x,0.07")),
-        ("empty_field.csv", "not-a-number", line_9("0.14,,1.9,0.07")),
-        ("trailing_comment.csv", "not-a-number", line_9("0.14,0.1,1.9,0.07 # here")),
-        ("arabic_digits.csv", "not-a-number", line_9("0.14,\u0661,1.9,0.07")),
-        ("short_row.csv", "ragged", line_9("0.14,0.1,1.9")),
-        ("long_row.csv", "ragged", line_9("0.14,0.1,1.9,0.07,5")),
-        ("decimal_comma_in_commas.csv", "ragged", text(csv(TABLE, mark=","))),
-        ("mixed_marks.csv", "decimal-mark", text(csv(TABLE, delimiter=";") + "1,3;1;2;3\n")),
-        ("thousands.csv", "decimal-mark", text(csv(TABLE, delimiter=";") + "1.000,5;1;2;3\n")),
-        ("cut_off.csv", "note", text(GOOD[:-14])),
-        ("cut_inside_last_number.csv", "note", text(GOOD[:-4])),
-        ("latin1.csv", "encoding", raw(GOOD.encode() + "0.5,\u00e9,1,1\n".encode("latin-1"))),
-        ("long_line.csv", "line-too-long", text("time," + "x" * 1_100_000)),
-    ]
+TEXT: list[tuple] = [  # tables that are written in an odd or wrong way
+    ("good.csv", "accept", text(GOOD)),
+    ("good_velocities.csv", "accept", numbers(FULL)),
+    ("semicolon.csv", "accept", text(csv(TABLE, delimiter=";"))),
+    ("semicolon_decimal_comma.csv", "accept", text(csv(TABLE, delimiter=";", mark=","))),
+    ("tab.tsv", "accept", text(csv(TABLE, delimiter="\t"))),
+    ("spaces.txt", "accept", text(csv(TABLE, delimiter="   "))),
+    ("byte_order_mark.csv", "accept", text("\ufeff" + GOOD)),
+    ("utf16.csv", "encoding", text(GOOD, "utf-16")),
+    ("windows_lines.csv", "accept", text(GOOD.replace("\n", "\r\n"))),
+    ("old_mac_lines.csv", "accept", text(GOOD.replace("\n", "\r"))),
+    ("comments.csv", "accept", text("# made by hand\n% and so\n\n" + GOOD)),
+    ("no_extension", "accept", text(GOOD)),
+    ("wrong_extension.bag", "accept", text(GOOD)),
+    ("no_last_line_end.csv", "note", text(GOOD.rstrip("\n"))),
+    ("commented_header.csv", "note", text("# " + GOOD)),
+    ("empty.csv", "empty", text("")),
+    ("blank.csv", "empty", text("\n\n  \n")),
+    ("header_only.csv", "too-short", text(HEADER + "\n")),
+    ("one_row.csv", "too-short", numbers(TABLE[:1])),
+    ("stamp.csv", "note", numbers(TABLE, "stamp,joint1,joint2,joint3")),
+    ("no_time.csv", "no-time", numbers(TABLE, "zeit,joint1,joint2,joint3")),
+    ("unnamed_column.csv", "note", columns(HEADER + ",", TABLE, TIME)),
+    ("column_twice.csv", "duplicate-column", numbers(TABLE, "time,joint1,joint1,joint3")),
+    ("extra_velocity.csv", "unknown-column", columns(HEADER + VELOCITIES + ",joint9_velocity", FULL, TIME)),
+    ("some_velocities.csv", "accept", columns(HEADER + VELOCITIES[:32], FULL[:, :6])),
+    ("text_in_number.csv", "not-a-number", line_9("0.14,0.1,x,0.07")),
+    ("empty_field.csv", "not-a-number", line_9("0.14,,1.9,0.07")),
+    ("trailing_comment.csv", "not-a-number", line_9("0.14,0.1,1.9,0.07 # here")),
+    ("arabic_digits.csv", "not-a-number", line_9("0.14,\u0661,1.9,0.07")),
+    ("short_row.csv", "ragged", line_9("0.14,0.1,1.9")),
+    ("long_row.csv", "ragged", line_9("0.14,0.1,1.9,0.07,5")),
+    ("decimal_comma_in_commas.csv", "ragged", text(csv(TABLE, mark=","))),
+    ("mixed_marks.csv", "decimal-mark", text(csv(TABLE, delimiter=";") + "1,3;1;2;3\n")),
+    ("thousands.csv", "decimal-mark", text(csv(TABLE, delimiter=";") + "1.000,5;1;2;3\n")),
+    ("cut_off.csv", "note", text(GOOD[:-14])),
+    ("cut_inside_last_number.csv", "note", text(GOOD[:-4])),
+    ("latin1.csv", "encoding", raw(GOOD.encode() + "0.5,\u00e9,1,1\n".encode("latin-1"))),
+    ("long_line.csv", "line-too-long", text("time," + "x" * 1_100_000)),
+]
 
 
-def number_cases() -> list[tuple]:
-    """Tables whose numbers are wrong."""
-    late = (np.arange(60) >= 30)[:, None]
-    return [
-        ("nan.csv", "not-finite", changed(7, 2, np.nan)),
-        ("infinite.csv", "not-finite", changed(7, 2, np.inf)),
-        ("too_large_for_float.csv", "not-finite", line_9("0.14,1e999,1.9,0.07")),
-        ("nan_velocity.csv", "accept", changed(7, 5, np.nan, FULL)),
-        ("backward_time.csv", "time-order", numbers(TABLE[::-1])),
-        ("two_recordings.csv", "note", numbers(np.vstack([TABLE, TABLE]))),
-        ("same_stamp.csv", "note", changed(8, 0, TABLE[7, 0])),
-        ("constant_time.csv", "too-short", numbers(TABLE * [0.0, 1.0, 1.0, 1.0])),
-        ("repeated_rows.csv", "note", numbers(np.repeat(TABLE, 2, axis=0))),
-        ("all_rows_the_same.csv", "too-short", numbers(np.repeat(TABLE[:1], 5, axis=0))),
-        ("gap.csv", "note", numbers(TABLE + np.array([1.0, 0.0, 0.0, 0.0]) * late * 5.0)),
-        ("milliseconds_stated.csv", "accept", numbers(TABLE * [1e3, 1, 1, 1]), {"time_unit": "ms"}),
-        ("milliseconds_velocities.csv", "note", numbers(FULL * [1e3, 1, 1, 1, 1, 1, 1])),
-        ("nanoseconds_1970.csv", "too-short", numbers(TABLE * [1e9, 1, 1, 1] + [1.7e18, 0, 0, 0])),
-        ("milliseconds_1970.csv", "too-short", numbers(TABLE * [1e3, 1, 1, 1] + [1.7e12, 0, 0, 0])),
-        ("degrees_stated.csv", "note", numbers(TABLE * [1, 57.3, 57.3, 57.3]), {"degrees": True}),
-        ("radians_as_degrees.csv", "outside-limits", numbers(TABLE * [1, 57.3, 57.3, 57.3]), {"units": "radians"}),
-        ("small_degrees.csv", "degrees", numbers(FULL * [1, 5.73, 5.73, 5.73, 0.1, 0.1, 0.1])),
-        ("outlier.csv", "outside-limits", changed(30, 2, 1e8)),
-        ("spike.csv", "jump", changed(30, 2, 9.0)),
-        ("full_turn.csv", "jump", numbers(TABLE + late * [0, 6.2832, 0, 0])),
-    ]
+LATE = (np.arange(60) >= 30)[:, None]
+NUMBERS: list[tuple] = [  # tables whose numbers are wrong
+    ("nan.csv", "not-finite", changed(7, 2, np.nan)),
+    ("infinite.csv", "not-finite", changed(7, 2, np.inf)),
+    ("too_large_for_float.csv", "not-finite", line_9("0.14,1e999,1.9,0.07")),
+    ("nan_velocity.csv", "accept", changed(7, 5, np.nan, FULL)),
+    ("backward_time.csv", "time-order", numbers(TABLE[::-1])),
+    ("two_recordings.csv", "note", numbers(np.vstack([TABLE, TABLE]))),
+    ("same_stamp.csv", "note", changed(8, 0, TABLE[7, 0])),
+    ("constant_time.csv", "too-short", numbers(TABLE * [0.0, 1.0, 1.0, 1.0])),
+    ("repeated_rows.csv", "note", numbers(np.repeat(TABLE, 2, axis=0))),
+    ("all_rows_the_same.csv", "too-short", numbers(np.repeat(TABLE[:1], 5, axis=0))),
+    ("gap.csv", "note", numbers(TABLE + np.array([1.0, 0.0, 0.0, 0.0]) * LATE * 5.0)),
+    ("milliseconds_stated.csv", "accept", numbers(TABLE * [1e3, 1, 1, 1]), {"time_unit": "ms"}),
+    ("milliseconds_velocities.csv", "note", numbers(FULL * [1e3, 1, 1, 1, 1, 1, 1])),
+    ("nanoseconds_1970.csv", "too-short", numbers(TABLE * [1e9, 1, 1, 1] + [1.7e18, 0, 0, 0])),
+    ("milliseconds_1970.csv", "too-short", numbers(TABLE * [1e3, 1, 1, 1] + [1.7e12, 0, 0, 0])),
+    ("degrees_stated.csv", "note", numbers(TABLE * [1, 57.3, 57.3, 57.3]), {"degrees": True}),
+    ("radians_as_degrees.csv", "outside-limits", numbers(TABLE * [1, 57.3, 57.3, 57.3]), {"units": "radians"}),
+    ("small_degrees.csv", "degrees", numbers(FULL * [1, 5.73, 5.73, 5.73, 0.1, 0.1, 0.1])),
+    ("outlier.csv", "outside-limits", changed(30, 2, 1e8)),
+    ("spike.csv", "jump", changed(30, 2, 9.0)),
+    ("full_turn.csv", "jump", numbers(TABLE + LATE * [0, 6.2832, 0, 0])),
+]
 
 
 def other_kind_cases() -> list[tuple]:
@@ -327,5 +323,5 @@ def parquet_bomb(path: Path) -> None:
     pq.write_table(pa.table({"observation.state": state, "timestamp": index, "episode_index": index}), path)
 
 
-CHAPTERS = (text_cases, number_cases, other_kind_cases, archive_cases, stub_cases, claim_cases)
-CASES = [Case(*row) for chapter in CHAPTERS for row in chapter()]
+CHAPTERS = (TEXT, NUMBERS, other_kind_cases(), archive_cases(), stub_cases(), claim_cases())
+CASES = [Case(*row) for chapter in CHAPTERS for row in chapter]

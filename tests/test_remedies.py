@@ -17,11 +17,9 @@ import scipy.io
 from case import case
 from recording_corpus import GOOD, JOINTS, TABLE, TIME, VELOCITIES, Q, csv, npz, refusal, text
 from recording_formats import (
-    ROS2,
     START,
     STEPS,
     Build,
-    Writer2,
     all_in_one,
     archive,
     dataset,
@@ -84,14 +82,6 @@ def bag(*streams: list[Any]) -> Build:
     return bag_of("mcap", *streams)
 
 
-def chatter(folder: Path) -> Path:
-    with Writer2(folder / "bag", version=9) as writer:
-        connection = writer.add_connection("/chatter", "std_msgs/msg/String", typestore=ROS2)
-        message = ROS2.types["std_msgs/msg/String"]("hello")
-        writer.write(connection, 1, ROS2.serialize_cdr(message, "std_msgs/msg/String"))
-    return folder / "bag"
-
-
 def shuffled(folder: Path) -> Path:
     """Stamps in no order at all, received in one."""
     received = np.random.default_rng(0).permutation(STAMPS)
@@ -152,7 +142,7 @@ TO_DO: dict[str, tuple[str, Build, tuple[str, ...], str]] = {
         (),
         "record them together",
     ),
-    "no joint states": ("no-joint-states", chatter, (), "record /joint_states"),
+    "no joint states": ("no-joint-states", bag_of("mcap", foreign="uint8 x\n"), (), "record /joint_states"),
     "radians called degrees": ("degrees", one("a.csv", text(GOOD)), ("--degrees",), "leave --degrees out"),
 }
 
@@ -232,7 +222,6 @@ WRITERS: dict[str, Write] = {
     "CSV": in_file("demo.csv", csv_file),
     "NPZ": in_file("demo.npz", lambda path, names, q: np.savez(path, time=TIME, q=q, joint_names=np.array(names))),
     **{kind: in_bag(kind) for kind in ("ros1", "sqlite", "mcap")},
-    "LeRobot": data_set(list),
     "LeRobot, nested": data_set(lambda names: [list(names)]),
     "LeRobot, motors": data_set(lambda names: {"motors": [f"{n}.pos" for n in names]}),
     "a bare array": in_file(
@@ -256,19 +245,17 @@ CALLED: dict[str, tuple[str, ...]] = {
 
 
 @pytest.mark.parametrize("name", WRITERS)
-def test_what_is_offered_reads_the_file(name: str, capsys) -> None:
+def test_what_is_offered_reads_the_file(name: str, planar3: ml.Robot, capsys) -> None:
     """One refusal at most, and each way that it offers reads the joints of that arm: names of every kind in a table, a
     prefix and two arms in every format. A pointer of Git LFS is named, whichever file was not fetched.
     """
-    robot = ml.load_robot("planar3")
     for called in CALLED if name == "CSV" else ("a prefix", "two arms"):
         for way, q in enumerate([Q, OTHER] if called == "two arms" else [Q]):
             with case(called, way) as folder:
                 whole = np.hstack([Q, OTHER]) if called == "two arms" else Q
                 path, options = WRITERS[name](folder, CALLED[called], whole)
                 obeyed(path, folder / "out.csv", capsys, options, way, most=1)
-                read = ml.load_demonstrations(folder / "out.csv", robot)[0]
-                np.testing.assert_allclose(read.q, q, atol=1e-6)
+                np.testing.assert_allclose(ml.load_demonstrations(folder / "out.csv", planar3)[0].q, q, atol=1e-6)
     if name == "a bare array":
         return
     with case(name) as folder:
@@ -276,7 +263,7 @@ def test_what_is_offered_reads_the_file(name: str, capsys) -> None:
         for victim in [good] if good.is_file() else [p for p in good.rglob("*") if p.is_file()]:
             content = victim.read_bytes()
             victim.write_text("version https://git-lfs.github.com/spec/v1\noid sha256:00\nsize 9\n")
-            assert refusal(good, robot, units="radians").code == "git-lfs", victim.name
+            assert refusal(good, planar3, units="radians").code == "git-lfs", victim.name
             victim.write_bytes(content)
 
 
@@ -305,7 +292,7 @@ TABLES: dict[str, tuple[str, list[str]]] = {
 
 
 @pytest.mark.parametrize("name", TABLES)
-def test_tables_of_other_programs_are_read(name: str, tmp_path: Path, capsys) -> None:
+def test_tables_of_other_programs_are_read(name: str, planar3: ml.Robot, tmp_path: Path, capsys) -> None:
     """Positions and stamps are those that were written; without the options a refusal says what to type."""
     content, options = TABLES[name]
     (path := tmp_path / "demo.csv").write_text(content)
@@ -313,24 +300,20 @@ def test_tables_of_other_programs_are_read(name: str, tmp_path: Path, capsys) ->
         offered = {word for way in advised(said(path, tmp_path / "out.csv", [], capsys)["message"]) for word in way}
         assert offered >= {word for word in options if word.startswith("--")}
     assert not said(path, tmp_path / "out.csv", options, capsys)
-    read = ml.load_demonstrations(tmp_path / "out.csv", ml.load_robot("planar3"))[0]
+    read = ml.load_demonstrations(tmp_path / "out.csv", planar3)[0]
     np.testing.assert_array_equal(read.q, Q)
     np.testing.assert_allclose(read.time, TIME, atol=1e-9)
 
 
-def test_patterns_of_names_in_python(tmp_path: Path) -> None:
+def test_patterns_of_names_in_python(planar3: ml.Robot, tmp_path: Path) -> None:
     """`rename` takes a text or a mapping of patterns; anything else, or another number of joints, is refused. Joint 12
     is not joint 1 misspelt: only the robot's order is offered, which the user must confirm.
     """
-    robot = ml.load_robot("planar3")
     path, _ = WRITERS["NPZ"](tmp_path, CALLED["a prefix"], Q)
     for rename in ("left_{joint}", {"left_joint{joint}": "joint{joint}"}):
-        np.testing.assert_array_equal(ml.load_demonstrations(path, robot, rename=rename)[0].q, Q)
+        np.testing.assert_array_equal(ml.load_demonstrations(path, planar3, rename=rename)[0].q, Q)
     for rename in ("left_", {"left_{joint}": "joint1"}, {"left_joint{index}": "joint1"}, {"left_{joint}": 3}):
-        assert refusal(path, robot, rename=rename).code == "option"
-    assert "left_{joint}" in str(refusal(path, robot))
-    assert "no joint '{joint}_x'" in str(refusal(path, robot, rename={"left_{joint}": "{joint}_x"}))
-    for k, called in enumerate((("joint11", "joint12", "joint13"), ("elbow", "a", "b"))):
-        (tmp_path / str(k)).mkdir()
-        heard = str(refusal(in_bag("mcap")(tmp_path / str(k), called, Q)[0], robot))
-        assert "reads" not in heard and "if it is this one and they are in its order" in heard, heard
+        assert refusal(path, planar3, rename=rename).code == "option"
+    assert "no joint '{joint}_x'" in str(refusal(path, planar3, rename={"left_{joint}": "{joint}_x"}))
+    heard = str(refusal(in_bag("mcap")(tmp_path, ("joint11", "joint12", "joint13"), Q)[0], planar3))
+    assert "reads" not in heard and "if it is this one and they are in its order" in heard, heard
