@@ -101,8 +101,8 @@ def test_a_weak_task_has_the_time_that_it_takes(answer, learnt):
     slow = answer(*control, "--task-gain", "0.5", "--out", "slow.npz")
     error = Rollout.load("slow.npz").task_error[0]
     assert slow["duration"] == pytest.approx(np.log(2.0 * error / 0.01) / 0.5, abs=0.01)
-    assert slow["reached"] is True and slow["final_error"] < 0.01 and slow["max_velocity"] > 0.0
-    assert 0.0 < slow["min_manipulability"] <= slow["mean_manipulability"]
+    assert slow["reached"] is True and slow["final_error"] < 0.01
+    assert 0.0 < slow["min_manipulability"] <= slow["mean_manipulability"] and slow["max_velocity"] > 0.0
     assert sum(slow["status_counts"].values()) == round(slow["duration"] / 0.01) + 1
 
 
@@ -111,14 +111,13 @@ def test_replay_shows_what_was_learnt(run, answer, learnt):
     content = json.loads(learnt.read_text(encoding="utf-8"))
     name = Path(DRAWER[0]).name
     phases = [[name, 0.2, 1.0, None], [name, 1.0, 2.5, 0], ["not shown", 0.0, 1.0, 0]]
-    line = {"type": "line", "axis": [1, 0, 0], "point": [0.6, 0.2, 0.3], "sentence": "a line along (1.00, 0.00, 0.00)"}
-    content["provenance"] |= {"phases": phases, "mechanism": line}
+    content["provenance"] |= {"phases": phases}
     Path("held.json").write_text(json.dumps(content), encoding="utf-8")
     answer("replay", "sawyer", DRAWER[0], "--constraint", "held.json", "--html", "a.html")
     data = data_in(Path("a.html"))
     assert data["rollouts"][0]["phases"] == [[0.2, 1.0, -1], [1.0, 2.5, 0]]
     assert [k["label"] for k in data["phaseKinds"]] == ["constraint 1: line", "free motion"]
-    assert data["mechanisms"][0]["sentence"] == line["sentence"]
+    assert data["mechanisms"][0]["sentence"] == content["provenance"]["mechanism"]["sentence"]
     code, _, err = run("replay", "sawyer", DRAWER[1], "--constraint", "held.json", "--html", "b.html")
     assert code == 2 and name in err
 
@@ -272,11 +271,9 @@ def test_exported_files_are_named_after_their_recordings(run, answer):
     result = answer("export", "planar3", *names, "--to", "csv", "--out", "many")
     expected = [f"{k:02d}_{f'my_demo_{k + 10}_of_' + 'x' * 90:.80}.csv" for k in range(11)] + ["11_last.1.csv"]
     assert [Path(f).name for f in result["files"]] == sorted(p.name for p in Path("many").iterdir()) == expected
-    for words, shown in (("one --to csv", "one/last.1.csv"), ("one.CSV", "one.CSV")):
-        code, out, _ = run("export", "planar3", "last.1.csv", "--out", *words.split())
-        assert code == 0 and Path(shown).is_file() and "1 trajectory, " in out
-    code, _, err = run("export", "planar3", "one/last.1.csv", "--to", "csv", "--out", "one")
-    assert code == 2 and "would replace an input" in err
+    assert run("export", "planar3", "last.1.csv", "--out", "one.CSV")[0] == 0 and Path("one.CSV").is_file()
+    code, _, err = run("export", "planar3", "many/11_last.1.csv", "--to", "csv", "--out", "many")
+    assert code == 2 and "many" in err
 
 
 EVIL = "\x1b[31m\x9b2J\u202e"

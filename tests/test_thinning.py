@@ -6,8 +6,7 @@ from functools import partial
 
 import numpy as np
 import pytest
-from recording_corpus import JOINTS
-from recording_formats import dataset, frames, info, motion, pa
+from recording_formats import frames, lerobot, motion, pa
 from scale_motions import motions
 from task_sets import generated, true_rows
 
@@ -53,10 +52,8 @@ def chosen(recordings, each: int, robot, most: int) -> EvenChoice:
 )
 def test_what_is_left_out(most, rate, lengths, steps, left):
     """Neighbours, then recordings, evenly and in order; the same however the recordings are divided into parts."""
-    recordings = [
-        ml.Trajectory(np.arange(n) / rate, np.full((n, 2), float(i)) + np.arange(n)[:, None] / 1e5, np.ones((n, 2)))
-        for i, n in enumerate(lengths)
-    ]
+    q = np.repeat(np.arange(4000)[:, None] / 1e5, 2, axis=1)
+    recordings = [ml.Trajectory(np.arange(n) / rate, q[:n] + i, np.ones((n, 2))) for i, n in enumerate(lengths)]
     first = chosen(recordings, len(lengths), None, most)
     demos, all_fit = first.demonstrations, left == len(lengths) and steps == {1}
     assert ({kept.step for kept in first.kept}, len(demos)) == (steps, left)
@@ -120,18 +117,16 @@ def test_streams_and_files_are_learnt_from_as_if_in_memory(features, held, tmp_p
             assert getattr(other.report_, name) == getattr(whole.report_, name)
 
 
-@pytest.mark.parametrize(("version", "shared", "parts"), [("v2.1", False, 4), ("v3.0", False, 4), ("v3.0", True, 1)])
-def test_lerobot_episodes_are_parts(version: str, shared: bool, parts: int, planar3, tmp_path, monkeypatch):
-    """LeRobot data is read file by file, as a whole where an episode goes on in the next file or some are chosen."""
+@pytest.mark.parametrize(("shared", "parts"), [(False, 4), (True, 1)])
+def test_lerobot_episodes_are_parts(shared: bool, parts: int, planar3, tmp_path, monkeypatch):
+    """LeRobot data is read file by file, or as a whole if an episode spans two files or episodes are selected."""
     monkeypatch.setattr(trajectory_source, "PART_BYTES", 1)
     tables = [frames({i: motion(i, 30)}) for i in range(4)]
     if shared:
         tables[:2] = tables[0][:10], pa.concat_tables([tables[0][10:], tables[1]])
-    name = "data/chunk-000/episode_{:06d}.parquet" if version == "v2.1" else "data/chunk-000/file-{:03d}.parquet"
-    files = {name.format(i): table for i, table in enumerate(tables)}
-    root = dataset(tmp_path / "set", info(JOINTS, version), files)
+    root = lerobot(*tables)(tmp_path)
     source = ml.RecordingSource(root, planar3, units="radians")
     assert source.n_parts == parts
-    assert version == "v2.1" or ml.RecordingSource(root, planar3, units="radians", episodes="0:2").n_parts == 1
+    assert ml.RecordingSource(root, planar3, units="radians", episodes="0:2").n_parts == 1
     for a, b in zip(source, ml.load_demonstrations(root, planar3, units="radians"), strict=True):
         np.testing.assert_array_equal(a.q, b.q)
