@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-import scipy.io
 from recording_corpus import JOINTS, TIME, Q, U
 
 for _module in ("h5py", "pyarrow", "rosbags"):
@@ -43,12 +42,10 @@ def table(header: str, *parts: Any, name: str = "a.csv") -> Build:
     return one(name, lambda path: path.write_text(content, encoding="utf-8", newline=""))
 
 
-def archive(name: str = "a.npz", **arrays: Any) -> Build:
-    """An archive, or a MATLAB file, of these arrays beside or in place of the good ones; None leaves one out."""
-    if name.endswith(".mat"):
-        return one(name, lambda path: scipy.io.savemat(path, arrays))
+def archive(**arrays: Any) -> Build:
+    """Write an archive of the good arrays, with these added or replaced; None leaves one out."""
     full = {"time": TIME, "q": Q, "u": U, "joint_names": np.array(JOINTS), **arrays}
-    return one(name, lambda path: np.savez(path, **{k: v for k, v in full.items() if v is not None}))
+    return one("a.npz", lambda path: np.savez(path, **{k: v for k, v in full.items() if v is not None}))
 
 
 # ---- LeRobot ---------------------------------------------------------------------------------------------------------
@@ -180,10 +177,8 @@ def write_bag(path: Path, kind: str, messages: Sequence[Message], **options: Any
 def all_in_one(names: Sequence[str] = JOINTS, q: Any = Q, u: Any = U, topic: str = "/joint_states") -> list[Message]:
     """Messages with all joints in some order, received 3 ms after they were stamped."""
     order = [JOINTS.index(n) for n in names]
-    return [
-        (topic, START + int(s) + 3_000_000, (START + int(s), names, a[order], () if u is None else b[order]))
-        for s, a, b in zip(STEPS, q, U if u is None else u, strict=True)
-    ]
+    rows = zip((START + int(s) for s in STEPS), q, U, strict=True)
+    return [(topic, at + 3_000_000, (at, names, a[order], () if u is None else b[order])) for at, a, b in rows]
 
 
 def some(topic: str, joints: Sequence[int], q: Any = Q, late: int = 0, ahead: int = 0) -> list:

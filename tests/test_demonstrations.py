@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from case import case
-from task_sets import DATA
+from task_sets import sawyer_drawer
 
 import manip_learn as ml
 from manip_learn.errors import RecordingError
@@ -96,8 +96,8 @@ def test_an_even_choice_keeps_both_ends(planar3: ml.Robot):
     assert subsample(t, 1000) is t and len(subsample(t, 1)) == 1
     with pytest.raises(RecordingError, match="positive"):
         subsample(t, 0)
-    for cut in (few, ml.derive_velocities(t, planar3)):
-        np.testing.assert_array_equal(cut.effort, 7.0 * q[np.searchsorted(time, cut.time - 1e-6)])
+    np.testing.assert_array_equal(few.effort, 7.0 * q[np.searchsorted(time, few.time - 1e-6)])
+    np.testing.assert_array_equal(ml.derive_velocities(t, planar3).effort, t.effort)
 
 
 def test_demonstrations_are_a_sequence():
@@ -116,12 +116,12 @@ def test_demonstrations_are_a_sequence():
 # ---- motions in memory
 @pytest.fixture(scope="module")
 def features() -> ml.FrameJacobian:
-    return ml.FrameJacobian(ml.load_robot("sawyer"), "right_gripper_tip", "xyz")
+    return ml.FrameJacobian(sawyer_drawer()[0], "right_gripper_tip")
 
 
 @pytest.fixture(scope="module")
-def demos(features: ml.FrameJacobian) -> Demonstrations:
-    return ml.load_demonstrations([DATA / "sawyer_drawer" / f"demo_0{k}.csv" for k in range(1, 7)], features.robot)
+def demos() -> Demonstrations:
+    return sawyer_drawer()[1]
 
 
 def test_arrays_are_read_like_files(demos: Demonstrations, features: ml.FrameJacobian):

@@ -14,7 +14,6 @@ from typing import Any, NamedTuple
 import numpy as np
 import pyarrow as pa
 import pytest
-from case import case
 from recording_corpus import FULL, GOOD, HEADER, JOINTS, TABLE, TIME, VELOCITIES, Q, U, csv, npz, refusal
 from recording_formats import (
     FPS,
@@ -116,12 +115,6 @@ TABLES = {
 
 
 # ---- archives
-def cell(*values: Any) -> np.ndarray:
-    out = np.empty((1, len(values)), dtype=object)
-    out[0, :] = values
-    return out
-
-
 def typed(dtype: str) -> Read:
     """Big-endian, short and integer numbers, read for what they are, with a note."""
     q = (Q * 3.0).astype(dtype)
@@ -129,14 +122,11 @@ def typed(dtype: str) -> Read:
 
 
 STACK, RATE = np.stack([Q, 2.0 * Q]), {"joint_names": JOINTS, "rate": 50.0, "q": [Q, 2.0 * Q]}
-STAMPED = np.vstack([Q.T, TIME])  # a pose is not taken for joints, a time of something else not for theirs
-STRUCTS = ({"arm": {"pose": STAMPED, "joint_states": x}, "times": [0.0, 3.0]} for x in (STAMPED, STAMPED))
 ARCHIVES = {
     **{dtype: typed(dtype) for dtype in (">f8", "<f2", "<i4", "u1")},
     "efforts": read(archive(effort=EFFORT), u=U, effort=EFFORT),
     "efforts that are no numbers": read(archive(effort=BROKEN), "efforts are not finite", u=U),
     "a stack in an archive": read(one("a.npz", npz(demos=STACK)), "q from 'demos'", **RATE),
-    "structs": read(archive("a.mat", data=cell(*STRUCTS)), "not used", q=[Q, Q], joint_names=(*JOINTS, "time")),
 }  # fmt: skip
 
 # ---- LeRobot
@@ -160,16 +150,14 @@ def part_of_a_set(folder: Path) -> Path:
 def droid(folder: Path) -> Path:
     """A data set in the layout of DROID: joints under a key of their own."""
     q = {i: motion(i) for i in (0, 1, 2)}
-    joints = np.concatenate(list(q.values()))
-    velocity = np.concatenate([np.gradient(x, 1 / FPS, axis=0) for x in q.values()])
-    arrays = {KEY: joints, "observation.state.joint_velocity": velocity}
-    arrays["observation.state.cartesian_position"] = np.zeros((len(joints), 6))
-    rows = frames(q).drop_columns(["observation.state", "action"])
-    for name, values in arrays.items():
-        rows = rows.append_column(name, pa.array(values.tolist(), type=pa.list_(pa.float32())))
-    features = {name: {"dtype": "float32", "shape": [a.shape[1]], "names": None} for name, a in arrays.items()}
+    arrays = {
+        KEY: q.values(),
+        "observation.state.joint_velocity": [np.gradient(x, 1 / FPS, axis=0) for x in q.values()],
+    }
+    lists = {name: np.concatenate([*parts]).astype(np.float32).tolist() for name, parts in arrays.items()}
+    rows = frames(q, **lists).drop_columns(["observation.state", "action"])
+    features = {name: {"dtype": "float32", "shape": [3], "names": None} for name in arrays}
     features["observation.images.wrist"] = {"dtype": "video", "shape": [180, 320, 3], "names": None}
-    features["language_instruction"] = {"dtype": "string", "shape": [1], "names": None}
     return lerobot(rows, described={**info(None, "v3.0"), "features": features})(folder)
 
 
@@ -612,15 +600,14 @@ def folder(tmp_path: Path) -> Path:
 def test_paths_may_be_strings_lists_and_folders(planar3: ml.Robot, folder: Path) -> None:
     """One path, several, and their folder give the same, in natural order and each once; a list may mix formats."""
     files = [folder / f"demo_{i}.csv" for i in range(1, 13)]
-    for paths in (files, [str(f) for f in files], iter(files), folder, str(folder), [folder]):
+    for paths in ([str(f) for f in files], iter(files), folder, str(folder)):
         assert [t.name for t in ml.load_demonstrations(paths, planar3)] == [f.name for f in files]
     demos = ml.load_demonstrations([folder, files[1]], planar3, units="normalised")
     assert len(demos) == 12 and "read once" in demos.notes[0] and len(demos.notes) == 2
     assert len(ml.load_demonstrations([files[0], archive()(folder)], planar3)) == 2
     assert refusal(folder, planar3).code == "mixed-folder"
     for paths in ([], "", [""], [None], 7, None):
-        with case(paths):
-            refusal(paths, planar3)
+        refusal(paths, planar3)
 
 
 def test_progress_is_reported_after_each_file(planar3: ml.Robot, folder: Path) -> None:
@@ -646,13 +633,15 @@ def test_missing_libraries_name_the_extra(missing: str, module: str, extra: str,
 
 # ---- selected episodes
 def test_files_are_selected_by_natural_order(planar3: ml.Robot, folder: Path) -> None:
-    """demo_2 comes before demo_10; the order of the selection does not matter; a note tells what was left out. Ranges
-    are half-open, from 0, and may go beyond the last file.
+    """demo_2 comes before demo_10, whatever the order of the selection; a note tells how many were selected. Ranges are
+    half-open, from 0, and may go beyond the last file.
     """
     for chosen, numbers in {
-        "9,0:2": (1, 2, 10), (11,): (12,), range(1, 3): (2, 3), "0:2,5, 7": (1, 2, 6, 8), "10:": (11, 12), ":2": (1, 2),
-        "9:99": (10, 11, 12),
-    }.items():  # fmt: skip
+        "9,0:2": (1, 2, 10),
+        range(1, 3): (2, 3),
+        ":2,5, 7": (1, 2, 6, 8),
+        "10:99": (11, 12),
+    }.items():
         demos = ml.load_demonstrations(folder, planar3, episodes=chosen)
         assert [t.name for t in demos] == [f"demo_{i}.csv" for i in numbers]
         assert any(f"{len(numbers)} of 12 files selected" in note for note in demos.notes)
