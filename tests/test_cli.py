@@ -225,16 +225,6 @@ def test_no_output_replaces_an_input(run, tmp_path, name, flag, read):
     assert {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()} == before
 
 
-def test_help_has_the_common_options_first(run, monkeypatch):
-    """`--help` explains a beginner's options and names the others, which `--help-all` explains, within the terminal."""
-    monkeypatch.setenv("COLUMNS", "60")
-    (_, short, _), (code, out, _) = run("learn", "--help"), run("learn", "--help-all")
-    assert code == 0 and max(map(len, (short + out).splitlines())) <= 60
-    first, others = short.split("--help-all explains also")
-    assert "  --frame " in first and "--lock" not in first and "--lock," in others and "--frame" not in others
-    assert others.split() and all(f"  {flag} " in out for flag in others.replace(",", "").split())
-
-
 EXAMPLES = {name: command.callback.example.split()[1:] for name, command in program.commands.items()}
 # in an order in which each finds what it reads; the last ones end when somebody does something
 IN_ORDER = "robots inspect demo learn audit control repeat replay export reproduce record teach".split()

@@ -20,7 +20,6 @@ from manip_learn.commands.learn import described, fit
 from manip_learn.commands.options import LearnOptions
 from manip_learn.commands.output import Answer, cells
 from manip_learn.commands.tables import Glossary, show, table_of
-from manip_learn.control.simulation import WayDone
 from manip_learn.learning.audit import audit_episodes
 
 
@@ -102,20 +101,6 @@ def test_learning_explains_its_words() -> None:
     assert "direction not determined" in weakly and "1.6e+03" not in weakly and "1600" not in weakly
     terms = explained(in_line(60, answer, explain=True))
     assert list(terms) == ["rows", "gap", "left out", "uncertainty", "strength"]
-
-
-def test_units_are_printed_with_their_numbers(held: ml.Constraint, rollout: ml.Rollout) -> None:
-    """Lengths in m and mm, angles in degrees, times in s, shares in percent."""
-    way = WayDone(0.3, 0.2, "m", 0.1, 12.34, 0.0015, 0.1234, ("joint2", 0.421), "a limit")
-    turned = dataclasses.replace(way, wanted=-math.pi, done=-math.pi / 2, unit="rad", seconds=None, deviation=0.0035)
-    for done, title, words in (
-        (way, "moved 0.200 of 0.300 m", "time 12.3 s|off 1.5 mm|fastest 42 %|margin - |least mu 0.123|by a limit"),
-        (turned, "moved 90.0 of 180.0 degrees", "time - |strayed 3.5 mm from what"),
-    ):
-        answer = outcome(held, rollout, 0.01, done)
-        assert answer.title == answer.content["sentence"] == title and not answer.content["reached"]
-        text = in_line(80, answer)
-        assert all(word in text for word in words.split("|")), text
 
 
 def test_what_keeps_a_rollout_from_its_goal_is_said(held: ml.Constraint, rollout: ml.Rollout) -> None:

@@ -160,18 +160,6 @@ def test_what_is_no_motion_is_refused(spoil: Callable, code: str, words: str, de
     assert caught.value.code == code
 
 
-def test_system_without_robot():
-    """Arrays of a system that is no robot are taken as they are, with velocities of their own, which it needs."""
-    features = ml.CustomFeatures(lambda q: np.eye(2), row_names=("a", "b"), nv=2)
-    time, along = np.linspace(0, 1, 200), np.array([1.0, 2.0])
-    angles = [3 * time + phase for phase in np.random.default_rng(0).uniform(0, 6, size=5)]
-    motions = [(time, np.outer(np.sin(x), along), np.outer(3 * np.cos(x), along)) for x in angles]
-    learnt = ml.ConstraintLearner(features, 1).fit(motions).constraint_.selection
-    np.testing.assert_allclose(learnt @ along, 0.0, atol=1e-9)
-    with pytest.raises(RecordingError, match="robot to derive them with|need a robot"):
-        ml.ConstraintLearner(features, 1).fit(motion[:2] for motion in motions)
-
-
 # ---- data frames
 
 

@@ -202,14 +202,9 @@ def test_fingerprint_is_of_the_kinematics(tmp_path, arm):
     assert len(different | {fingerprint}) == 1 + len(other) + len(options)
 
 
-def test_bases(arm, rng):
-    """The root link can be free; at the neutral base the arm is where it is with a fixed one."""
-    for base, nq, nv in [("planar", 6, 5), ("floating", 9, 8)]:
-        robot, q = load_robot(arm, base=base), rng.uniform(-1, 1, 2)
-        assert (robot.nq, robot.nv) == (nq, nv)
-        expected = load_robot(arm).pose(q, "tip")
-        positions = np.concatenate([np.zeros(nv - 2), q])
-        np.testing.assert_allclose(robot.pose(positions, "tip"), expected, atol=rounding(8 * 2, expected))
+def test_bases(arm):
+    """The root link can be fixed, free in the plane or free in space; any other base is refused."""
+    assert [(r.nq, r.nv) for r in (load_robot(arm, base=base) for base in ("planar", "floating"))] == [(6, 5), (9, 8)]
     with pytest.raises(RobotError, match="floating"):
         load_robot(arm, base="flying")  # type: ignore[arg-type]
     arm.write_bytes(edited(("elbow", "root_joint")))

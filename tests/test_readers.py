@@ -610,13 +610,6 @@ def test_paths_may_be_strings_lists_and_folders(planar3: ml.Robot, folder: Path)
         refusal(paths, planar3)
 
 
-def test_progress_is_reported_after_each_file(planar3: ml.Robot, folder: Path) -> None:
-    """The callback gets the share of the files that have been read."""
-    shares: list[float] = []
-    ml.load_demonstrations(folder, planar3, progress=lambda _step, share: shares.append(share), episodes="0:3")
-    assert shares == [1 / 3, 2 / 3, 1.0]
-
-
 LIBRARIES = [("rosbags", "readers.bags", "ros"), ("pyarrow", "readers.lerobot", "lerobot")]
 LIBRARIES += [("h5py", "readers.hdf5", "robomimic")]
 

@@ -71,11 +71,3 @@ def test_the_tip_obeys_the_truth(part, kind: str) -> None:
     trajectories, truth = part("make_recordings.kinematic_sets").make_set(kind, name, 5, 2, noise=0.0)
     assert max(worst(part, arm(name), trajectories, truth)) < EXACT
     assert all(sum(end - start for start, end, _ in windows) > 1.0 for windows in truth["windows"])
-
-
-def test_the_command_writes_recordings_that_can_be_loaded(part, tmp_path: Path) -> None:
-    """The command writes one CSV file per demonstration and a truth.json, thinned on request."""
-    arguments = f"door_firm --robot xarm7 --seed 3 --demos 2 --out {tmp_path} --kinematic --thin 2"
-    part("record_tasks_physics").main(arguments.split())
-    truth = json.loads((tmp_path / "truth.json").read_text(encoding="utf-8"))
-    assert len(load_demonstrations(tmp_path, arm("xarm7"))) == 2 == len(truth["windows"]) and truth["rate"] == 50.0

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import shlex
 from collections.abc import Callable
-from typing import NamedTuple
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -75,18 +75,8 @@ TYPED = [
 ]  # fmt: skip
 
 
-class Hands(NamedTuple):
-    """What a newcomer has at hand."""
-
-    robot: ml.Robot
-    features: ml.FrameJacobian
-    constraint: ml.Constraint
-    learner: ml.ConstraintLearner
-    q: np.ndarray
-
-
 # what is written in Python, and words of the fix
-WRITTEN: dict[str, tuple[Callable[[Hands], object], str]] = {
+WRITTEN: dict[str, tuple[Callable[[SimpleNamespace], object], str]] = {
     "features before rows": (lambda h: ml.Constraint(h.features, [[0, 1]]), "Constraint(selection, features)"),
     "posture before constraint": (lambda h: ml.manipulability(h.q, h.constraint), "the constraint comes first"),
     "a gradient likewise": (lambda h: ml.manipulability_gradient(h.q, h.constraint), "the constraint comes first"),
@@ -106,11 +96,12 @@ WRITTEN: dict[str, tuple[Callable[[Hands], object], str]] = {
 @pytest.mark.parametrize("mistake", WRITTEN)
 def test_in_python(mistake):
     """One error of the library's own, in one line."""
-    features = ml.FrameJacobian(robot := ml.load_robot("planar3"), "tip", axes="x y")
-    learner, q = ml.ConstraintLearner(features), np.array([0.3, 0.8, 0.4])
+    h = SimpleNamespace(robot=ml.load_robot("planar3"), q=np.array([0.3, 0.8, 0.4]))
+    h.features = ml.FrameJacobian(h.robot, "tip", axes="x y")
+    h.constraint, h.learner = ml.Constraint([[0, 1]], h.features), ml.ConstraintLearner(h.features)
     written, fix = WRITTEN[mistake]
     with pytest.raises(ml.ManipLearnError) as told:
-        written(Hands(robot, features, ml.Constraint([[0, 1]], features), learner, q))
+        written(h)
     assert fix in str(told.value) and "\n" not in str(told.value)
 
 
