@@ -9,7 +9,6 @@ from typing import Any
 
 import h5py
 import numpy as np
-import pandas as pd
 import pytest
 import yaml
 from recording_corpus import text
@@ -28,7 +27,7 @@ NS = np.round(PART * 1e9)
 GIVEN = {"joint_names": N}
 NAMED = [[name] * len(T) for name in N]  # columns that hold the names of the joints
 
-Write = Callable[[Path], Any]  # writes a file, or returns what is given instead of one
+Write = Callable[[Path], Any]  # writes a file
 # how it is written, words of the refusal ("" if it is read), options that the refusal advises, options
 Kind = tuple[Write, str, dict[str, Any] | None, dict[str, Any]]
 
@@ -81,8 +80,7 @@ def each(prefix: str, n: int = 7) -> list[str]:
     return [f"{prefix}{k}" for k in range(n)]
 
 
-FRAME = dict(zip(N, Q.T, strict=True))  # columns of a data frame
-COLUMNS = {name: values.tolist() for name, values in ({"timestamp": T, "tcp_x": T} | FRAME).items()}
+COLUMNS = {"timestamp": T.tolist(), "tcp_x": T.tolist()} | dict(zip(N, Q.T.tolist(), strict=True))
 DURATIONS = ({"secs": int(t), "nsecs": round((t % 1) * 1e9)} for t in T.tolist())
 POINTS = [{"positions": q, "velocities": [], "time_from_start": t} for t, q in zip(DURATIONS, Q.tolist(), strict=True)]
 WIDE = 0.8 * np.sin(T[:, None] * np.linspace(1.0, 2.5, 7) + np.arange(7))
@@ -129,7 +127,6 @@ KINDS: dict[str, Kind] = {
         **GIVEN,
     ),
     "HDF5, names in the file": kind(hdf5(q=Q, t=T, joint_names=np.array(N, dtype="S"))),
-    "HDF5, commands alone": kind(hdf5(action__joint_pos=Q, time=T), "only as commands", **GIVEN),
     "HDF5, states copied among commands": kind(hdf5(**COPIED), **GIVEN, rate=50),
     "an archive of three dimensions": kind(npz(t=T, q=Q[None]), **GIVEN),
     "ros2 topic echo": kind(echo(False)),
@@ -148,7 +145,6 @@ KINDS: dict[str, Kind] = {
     "UR's RTDE": kind(
         table(RTDE, T, Q, OTHER, Q[:, :6], mark=" "), "columns='actual_q_{index}'", {"columns": "actual_q_{index}"}
     ),
-    "a frame with times as its index": kind(lambda _: pd.DataFrame(FRAME, index=pd.Index(T, name="time"))),
 }
 
 
@@ -158,15 +154,14 @@ def test_kind(name: str, tmp_path: Path) -> None:
     never names joints falsely.
     """
     write, refusal, advised, options = KINDS[name]
-    written = write(path := tmp_path / "recording")
-    given = written if isinstance(written, pd.DataFrame) else path
+    write(path := tmp_path / "recording")
     if refusal:
         with pytest.raises(ml.ManipLearnError) as caught:
-            ml.load_demonstrations(given, ROBOT, **options)
+            ml.load_demonstrations(path, ROBOT, **options)
         assert refusal in str(caught.value) and "=right_j" not in str(caught.value)
         if advised is None:
             return
-    (demo,) = ml.load_demonstrations(given, ROBOT, **options, **(advised or {}))
+    (demo,) = ml.load_demonstrations(path, ROBOT, **options, **(advised or {}))
     np.testing.assert_allclose(demo.q, Q, rtol=0, atol=1e-6)
     np.testing.assert_allclose(demo.time - demo.time[0], T, rtol=0, atol=2e-6)
 
