@@ -364,7 +364,6 @@ def test_what_is_no_file_is_refused_at_each_door(what: str, planar3: Robot, tmp_
 
 def test_what_may_not_be_read_is_not_called_damaged(planar3: Robot, tmp_path: Path, monkeypatch) -> None:
     """Each loader says that the file may not be read; a folder is called a folder."""
-
     for load in (ml.Constraint.load, ml.Skill.load, ml.Scene.load):
         with pytest.raises(ManipLearnError, match="is a folder"):
             load(tmp_path, planar3)

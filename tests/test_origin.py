@@ -44,8 +44,7 @@ def test_what_is_made_of_it_carries_it(learner, tmp_path):
     task = ml.motion(constraint)
     run = ml.simulate(constraint.robot, ml.ResolvedRateController(constraint, task), start, duration=0.05)
     kept = ml.Rollout.load(run.save(tmp_path / "run.npz"))
-    planned = ml.plan(constraint, task, start, seed=0)
-    for rollout in (kept, planned.rollout):
+    for rollout in (kept, ml.plan(constraint, task, start, seed=0).rollout):
         assert rollout.constraint is not None and rollout.constraint["provenance"]["made"] == made
     ml.replay(constraint.robot, {"run": kept}, tmp_path / "run.html", open_browser=False)
     assert data_in(tmp_path / "run.html")["made"] == made

@@ -588,6 +588,20 @@ def test_the_last_message_of_equal_stamps_is_kept() -> None:
     assert [*map(str, notes)] == ["/arm: 1 message left out for a repeated stamp, the last is kept"]
 
 
+def test_a_late_message_is_told_from_a_clock_that_was_set_back():
+    """After a late message the next stamp is as expected; after a clock was set back it is not. Both are corrected."""
+    arrival, q = every(10, 0, 390), np.outer(np.arange(40.0), [1.0, -1.0])
+    late, back = np.array([*range(20), 22, 20, 21, *range(23, 40)]), 300 * MS * (np.arange(40) >= 20)
+    for stamps, positions, words in (
+        (START + late * 10 * MS, q[late], "/arm: 1 sample came late: sorted by their stamps"),
+        (arrival - back, q, "set back by 0.3 s"),
+    ):
+        (merged,), notes = states_of("/arm", "a b", stamps, positions, arrival).in_order()
+        np.testing.assert_array_equal(merged.stamps, arrival)
+        np.testing.assert_array_equal(merged.arrays["position"], q)
+        assert words in str(notes[0])
+
+
 # ---- one door for all formats, folders and options
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:

@@ -24,7 +24,7 @@ NOISE = 1e-4  # [rad] of the encoders
 SEED = 7
 
 Velocity = Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]
-Stamps = Callable[[np.ndarray, np.random.Generator], np.ndarray]
+Stamps = Callable[[np.ndarray], np.ndarray]
 
 
 def recorded(seed: int, noise: float, dt: float = 0.01, n_points: int = 200):
@@ -142,7 +142,7 @@ VELOCITIES: dict[str, Velocity] = {
 def bunches(size: int, apart: float = 0.0) -> Stamps:
     """Samples that are stamped when the last of so many has arrived."""
 
-    def changed(t: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    def changed(t: np.ndarray) -> np.ndarray:
         k = np.arange(len(t))
         return t[np.minimum((k // size + 1) * size - 1, len(t) - 1)] + apart * (k % size)
 
@@ -150,10 +150,10 @@ def bunches(size: int, apart: float = 0.0) -> Stamps:
 
 
 def grains(size: float) -> Stamps:
-    return lambda t, rng: np.floor(t / size + 1e-9) * size
+    return lambda t: np.floor(t / size + 1e-9) * size
 
 
-def some_late(t: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+def some_late(t: np.ndarray) -> np.ndarray:
     out = t.copy()
     out[[40, 90, 91, 200]] += 0.6
     return out
@@ -163,12 +163,12 @@ TIMES: dict[str, Stamps] = {
     **{f"bunches of {n}": bunches(n) for n in (2, 100)},
     "bunches of 10, 0.1 ms apart": bunches(10, 1e-4),
     **{f"grains of {size:g} s": grains(size) for size in (0.001, 0.1, 1.0)},
-    "milliseconds since 1970": lambda t, rng: 1.7e12 + np.round(1e3 * t),
-    "stalled once": lambda t, rng: np.where((t >= t[120]) & (t < t[140]), t[140] - 1e-3, t),
+    "milliseconds since 1970": lambda t: 1.7e12 + np.round(1e3 * t),
+    "stalled once": lambda t: np.where((t >= t[120]) & (t < t[140]), t[140] - 1e-3, t),
     "single stamps late": some_late,
-    "set back by 0.4 s": lambda t, rng: t - 0.4 * (np.arange(len(t)) >= 130),
-    "set back twice": lambda t, rng: t - 0.5 * (np.arange(len(t)) >= 100) - 1.0 * (np.arange(len(t)) >= 220),
-    "past midnight": lambda t, rng: (86399.0 + t) % 86400.0,
+    "set back by 0.4 s": lambda t: t - 0.4 * (np.arange(len(t)) >= 130),
+    "set back twice": lambda t: t - 0.5 * (np.arange(len(t)) >= 100) - 1.0 * (np.arange(len(t)) >= 220),
+    "past midnight": lambda t: (86399.0 + t) % 86400.0,
 }
 
 
@@ -201,8 +201,7 @@ def test_recorded_velocities_cannot_hurt(fault: str) -> None:
 def test_times_that_contradict_the_positions_are_spread(fault: str) -> None:
     """Even steps as in truth, which leave the rows that are learnt as they are, and a note says what was done."""
     features, exact, _ = motions(("planar3", "sawyer")[len(fault) % 2])
-    rng = np.random.default_rng(SEED)
-    read = recordings_given([(TIMES[fault](t.time, rng), t.q) for t in exact], features.robot, features.nv)
+    read = recordings_given([(TIMES[fault](t.time), t.q) for t in exact], features.robot, features.nv)
     assert isinstance(read, ml.Demonstrations) and len(read) == len(exact)
     told = ("spread", "read as m", "set back", "came late", "out of order")
     assert fault == "grains of 0.001 s" or all(any(word in note for word in told) for note in read.notes) and read.notes
