@@ -51,11 +51,11 @@ def test_unknown_names_help():
 
 
 def test_numbers_come_with_their_noun():
-    """One thing is one, several are several, and an error has as many digits as one says aloud."""
+    """Counts have singular or plural nouns; errors are rounded to the digits that count."""
     assert (errors.counted(1, "trajectory"), errors.counted(1200, "stretch")) == ("1 trajectory", "1,200 stretches")
-    said = {(8.4e-4, "degrees"): "0.0008 degrees", (7.43, "mm"): "7.4 mm", (3e-6, "m"): "better than 0.0001 m"}
-    said |= {(0.0949, "mm"): "0.09 mm", (0.095, "mm"): "0.095 mm", (0.0001, "mm"): "0.0001 mm"}
-    assert {pair: errors.error_in_words(*pair) for pair in said} == said
+    words = {(8.4e-4, "degrees"): "0.0008 degrees", (7.43, "mm"): "7.4 mm", (3e-6, "m"): "better than 0.0001 m"}
+    words |= {(0.0949, "mm"): "0.09 mm", (0.095, "mm"): "0.095 mm", (0.0001, "mm"): "0.0001 mm"}
+    assert {pair: errors.error_in_words(*pair) for pair in words} == words
 
 
 @given(strategies.text())

@@ -26,7 +26,7 @@ def learner() -> ml.ConstraintLearner:
 
 
 def test_a_constraint_says_what_made_it(learner, tmp_path):
-    """Version, date, each recording with the SHA-256 of its file, and the settings; the file keeps them."""
+    """A constraint file keeps the version, the date, the SHA-256 of each recording and the settings."""
     loaded = ml.Constraint.load(learner.skill_.save(tmp_path / "task.json"), learner.constraint_.robot)
     made = loaded.provenance["made"]
     digests = {file.name: hashlib.sha256(file.read_bytes()).hexdigest() for file in FILES}
@@ -38,7 +38,7 @@ def test_a_constraint_says_what_made_it(learner, tmp_path):
 
 
 def test_what_is_made_of_it_carries_it(learner, tmp_path):
-    """A rollout, a plan and a page."""
+    """A rollout, a plan and a replay page carry the provenance of their constraint."""
     constraint = learner.constraint_
     made, start = constraint.provenance["made"], constraint.provenance["postures"][0]
     task = ml.motion(constraint)

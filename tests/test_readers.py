@@ -66,7 +66,7 @@ class Read(NamedTuple):
 
 
 def read(build: Build, *note: str, **expected: Any) -> Read:
-    """A row: words of the notes, none if there are none, what is expected, and the options."""
+    """Return a row of the table; without words no note is expected, other keywords are options of the reader."""
     known = {name: expected.pop(name) for name in Read._fields[3:] if name in expected}
     return Read(build, expected, note, **known)
 
@@ -285,7 +285,7 @@ READ = TABLES | ARCHIVES | LEROBOT | ROBOMIMIC | BAGS
 
 @pytest.mark.parametrize("name", READ)
 def test_what_was_recorded_is_read(name: str, planar3: ml.Robot, tmp_path: Path) -> None:
-    """Positions, velocities and efforts by name and bit for bit, times, names in natural order; all else is said."""
+    """Positions, velocities and efforts are read by name and bit for bit, names in natural order; the rest is noted."""
     row = READ[name]
     demos = ml.load_demonstrations(row.build(tmp_path), planar3, **row.options)
     each = row.q if isinstance(row.q, list) else [row.q]
@@ -305,7 +305,7 @@ Unfit = tuple[str, str, Build, dict[str, Any]]
 
 
 def unfit(code: str, words: str, build: Build, **options: Any) -> Unfit:
-    """A row: the code, words of the sentence, how it is written, and the options."""
+    """Return a row: code and words of the refusal, how the file is written, options of the reader."""
     return code, words, build, options
 
 

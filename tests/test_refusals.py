@@ -95,14 +95,14 @@ WRITTEN: dict[str, tuple[Callable[[SimpleNamespace], object], str]] = {
 
 @pytest.mark.parametrize("mistake", WRITTEN)
 def test_in_python(mistake):
-    """One error of the library's own, in one line."""
+    """Each mistake gives one error of the library, in one line, which names the fix."""
     h = SimpleNamespace(robot=ml.load_robot("planar3"), q=np.array([0.3, 0.8, 0.4]))
     h.features = ml.FrameJacobian(h.robot, "tip", axes="x y")
     h.constraint, h.learner = ml.Constraint([[0, 1]], h.features), ml.ConstraintLearner(h.features)
     written, fix = WRITTEN[mistake]
-    with pytest.raises(ml.ManipLearnError) as told:
+    with pytest.raises(ml.ManipLearnError) as error:
         written(h)
-    assert fix in str(told.value) and "\n" not in str(told.value)
+    assert fix in str(error.value) and "\n" not in str(error.value)
 
 
 @pytest.fixture(scope="module")

@@ -105,7 +105,7 @@ def test_many_starts_are_single_starts(name, robot_of, rng):
 
     Configurations come back as configurations, floating bases and plain vectors too.
     """
-    robot, n, told = None if name == "vector" else robot_of(name), 300 if name == "sawyer" else 3, []
+    robot, n, progress = None if name == "vector" else robot_of(name), 300 if name == "sawyer" else 3, []
     if robot is None:
         plain = ml.Constraint([[1.0]], ml.CustomFeatures(lambda q: q[None, :] + 1.0, ("a",), 2))
         controllers, starts = [ml.ResolvedRateController(plain)], np.array([[0.1, 0.2], [0.3, 0.4], [0.2, 0.0]])
@@ -121,8 +121,8 @@ def test_many_starts_are_single_starts(name, robot_of, rng):
             controllers += [ml.ResolvedRateController(*track, limits=False), free, ml.ServoLoop(controllers[0], 0.02)]
         starts = np.stack([robot.random_configuration(rng) for _ in range(n)])
     for controller in controllers:
-        many = ml.simulate(robot, controller, starts, 0.4, 0.02, progress=lambda *step: told.append(step))
-        assert len(many) == len(starts) and told[-1] == ("simulating", 1.0) and told == sorted(told)
+        many = ml.simulate(robot, controller, starts, 0.4, 0.02, progress=lambda *step: progress.append(step))
+        assert len(many) == len(starts) and progress[-1] == ("simulating", 1.0) and progress == sorted(progress)
         for i in {0, 1, len(starts) - 1}:
             alone = [ml.simulate(robot, controller, starts[i], 0.4, 0.02)]
             if robot is not None and not isinstance(controller, ml.ServoLoop) and controller.limits is not None:
@@ -134,4 +134,4 @@ def test_many_starts_are_single_starts(name, robot_of, rng):
                     np.testing.assert_array_equal(getattr(many[i], what), getattr(one, what), err_msg=what)
                 np.testing.assert_allclose(many[i].task_error, one.task_error, rtol=0, atol=1e-12)
                 assert many[i].status == one.status and many[i].joint_names == one.joint_names
-        told.clear()
+        progress.clear()
