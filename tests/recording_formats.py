@@ -98,14 +98,14 @@ def lerobot(*tables: pa.Table, names: Any = JOINTS, described: Any = None) -> Bu
     return lambda folder: dataset(folder / "set", info(names, "v3.0") if described is None else described, files)
 
 
-def version_2(root: Path, names: Any = JOINTS, scale: float = 1.0, kind: str = "fixed") -> Path:
+def version_2(root: Path, scale: float = 1.0, kind: str = "fixed") -> Path:
     files = {f"data/chunk-000/episode_{i:06d}.parquet": frames({i: scale * motion(i)}, kind) for i in (0, 1, 2, 10)}
-    return dataset(root, info(names), files)
+    return dataset(root, info(JOINTS), files)
 
 
-def version_3(root: Path, names: Any = JOINTS) -> Path:
+def version_3(root: Path) -> Path:
     tables = frames({0: motion(0), 1: motion(1, 50), 2: motion(2)[:30]}), frames({3: motion(3)})
-    return lerobot(*tables, names={"motors": names})(root.parent).rename(root)
+    return lerobot(*tables, names={"motors": JOINTS})(root.parent).rename(root)
 
 
 # ---- robomimic -------------------------------------------------------------------------------------------------------
