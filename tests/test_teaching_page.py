@@ -165,7 +165,7 @@ def test_hostile_names_are_text_and_another_tab_may_take_the_arm(desk):
         }""",
         f"{EVIL}.csv",
     )
-    wait_until(page, "document.getElementById('said').textContent.includes('is no recording of')")
+    wait_until(page, "document.getElementById('said').textContent.includes('is not a recording of')")
     assert EVIL in page.locator("#said").inner_text() and page.locator("img").count() == 0
     other = page.context.new_page()
     other.goto(page.url)
