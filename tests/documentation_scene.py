@@ -5,10 +5,12 @@ Snippets find no names: each page imports and builds what it uses.
 
 from __future__ import annotations
 
+import importlib
 import shutil
 import sys
 from functools import cache
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from types import ModuleType
 
 import numpy as np
@@ -33,7 +35,8 @@ ARMS = {
     "ros2_control": "ur5",
     "lerobot": "so101",
 }
-OTHER_FORMATS = ("run_on_your_arm", "record_demonstrations", "file_formats")  # pages that show them
+OTHER_FORMATS = ("record_demonstrations", "file_formats")  # pages that show them
+MY_UR5E = "my_ur5e.urdf"  # description of the arm of run_on_your_arm.md
 RTDE = [f"actual_{kind}_{i}" for kind in ("q", "qd") for i in range(6)]  # columns of its recordings
 
 
@@ -53,6 +56,8 @@ def furnish(folder: Path, page: str, tab: str = "") -> None:
         shutil.copy(path, folder / "recordings" / path.name)
     if page in OTHER_FORMATS:
         write_other_formats(folder)
+    if page == "run_on_your_arm":
+        (folder / MY_UR5E).write_text(ur5e_with_tip(), encoding="utf-8")
     if (tab or page) in ARMS:
         write_recordings_of_arm(folder, tab or page)
 
@@ -62,7 +67,27 @@ def recorded(key: str) -> list[tuple[np.ndarray, np.ndarray]]:
     """Return times [s] and positions of a drawer that the arm of a page or a tab has opened."""
     if key == "lerobot":
         return drawer_of_so101()
+    if key == "run_on_your_arm":
+        return drawer_of_ur5e()
     _, demos = generated("drawer", ARMS[key], seed=11, n=4)
+    return [(demo.time, demo.q) for demo in demos]
+
+
+def ur5e_with_tip() -> str:
+    """Return the description of a UR5e with the frame that run_on_your_arm.md adds to it."""
+    tip = next(block.text for block in blocks(ROOT / "docs" / "run_on_your_arm.md") if block.language == "xml")
+    return (ROOT / "robots" / "ur5e.urdf").read_text(encoding="utf-8").replace("</robot>", f"{tip}</robot>")
+
+
+def drawer_of_ur5e() -> list[tuple[np.ndarray, np.ndarray]]:
+    """Return times [s] and positions of six motions of an arm that is guided by the tip of its gripper."""
+    with TemporaryDirectory() as folder, pytest.MonkeyPatch.context() as patch:
+        path = Path(folder) / MY_UR5E
+        path.write_text(ur5e_with_tip(), encoding="utf-8")
+        patch.syspath_prepend(str(ROOT / "examples"))
+        arms = importlib.import_module("make_recordings.arms").ARMS
+        patch.setitem(arms, str(path), ("tool_tip", arms["ur5e"][1]))
+        _, demos = generated("drawer", str(path), seed=11, n=6)
     return [(demo.time, demo.q) for demo in demos]
 
 
@@ -108,14 +133,20 @@ def driver_of_tab(tab: str, fakes: dict[str, ModuleType]) -> ModuleType:
 
 
 def write_recordings_of_arm(folder: Path, key: str) -> None:
-    """Write tables, with the columns of RTDE for UR, and bags for ROS 2."""
+    """Write tables, with the columns of RTDE for UR and of `record` for run_on_your_arm.md, and bags for ROS 2."""
     names = arm_named(ARMS[key]).joint_names
     for number, (time, q) in enumerate(recorded(key)):
         names = names[: q.shape[1]]
         header, rows = ["time", *names], np.column_stack([time, q])
-        if key in ("ur", "run_on_your_arm"):
-            header, rows = ["timestamp", *RTDE], np.column_stack([rows, np.gradient(q, time, axis=0)])
         table = folder / f"drawer_{number}.csv"
+        if key in ("ur", "run_on_your_arm"):
+            rows = np.column_stack([rows, np.gradient(q, time, axis=0)])
+        if key == "ur":
+            header = ["timestamp", *RTDE]
+        elif key == "run_on_your_arm":
+            header += [f"{name}_velocity" for name in names]
+            table = folder / "demos" / f"drawer_{number + 1:02d}.csv"
+            table.parent.mkdir(exist_ok=True)
         np.savetxt(table, rows, "%.9g", ",", header=",".join(header), comments="")
         if key == "ros2_control":
             bag = str(folder / f"drawer_{number}.mcap")
