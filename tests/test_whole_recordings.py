@@ -165,26 +165,6 @@ def test_a_slip_that_the_phases_cut_out_is_named():
         assert said is not None and before - 0.3 < float(said[1]) < after + 0.1
 
 
-def test_a_door_that_hardly_turns_is_answered_with_the_width_of_what_is_not_known():
-    """Turned by five degrees, a door is a hinge whose place is known to centimetres, and the report says how far to
-    turn it.
-    """
-    truth, demos = generated("door", "xarm7", 1100, 6, whole=False)
-    robot, (true,) = arm("xarm7"), truth["mechanisms"]
-    tip, axis, point = robot.frame(truth["tip"]), np.array(true["axis"]), np.array(true["point"])
-    short = []
-    for t in demos:
-        arms = np.array([robot.pose(q, tip)[:3, 3] for q in t.q]) - point
-        across = arms - np.outer(arms @ axis, axis)
-        turned = np.arctan2(np.cross(across[0], across) @ axis, across @ across[0])
-        short.append(t.part(slice(0, int(np.argmax(np.abs(turned) > np.radians(5.0))))))
-    report = ml.ConstraintLearner(ml.FrameJacobian(robot, tip, "xyz")).fit(short).report_
-    hinge = report.mechanism
-    assert hinge is not None and hinge.type == "hinge" and report.n_constraints == 2 and hinge.radius is not None
-    assert abs(hinge.radius - true["radius"]) < 3.0 * hinge.uncertainty["radius"]
-    assert any("move it by at least" in warning for warning in report.warnings)
-
-
 def test_phases_can_be_turned_off():
     """With `phases="off"` whole recordings are refused, and the refusal says that they are not of one piece."""
     truth, demos = shipped("panda_drawer_whole")
