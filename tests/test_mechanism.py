@@ -8,7 +8,7 @@ import re
 
 import numpy as np
 import pytest
-from mechanism_motions import T, about, along, ball, demonstrate, stroke, wave
+from mechanism_motions import about, along, ball, demonstrate, stroke, wave
 from scipy.spatial.transform import Rotation
 from task_sets import arm, learnt, moving
 
