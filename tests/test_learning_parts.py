@@ -79,21 +79,15 @@ def test_what_is_too_little_or_too_odd_to_learn_from(rng):
         assert said(q, moved, r).code == code
 
 
-def motion(n: int = 6, noise: float = 1e-3, dt: float = 0.05) -> tuple[Motion, np.ndarray]:
-    """A hand on two rows, by its positions, with an arm that may be off; and the true rows, whitened."""
-    rng = np.random.default_rng(3)
-    demos, truth = guided_motions(arm_features(), oblique(2, 3, rng), rng, n, 40, dt)
-    given = [ml.Trajectory(t.time, t.q + rng.normal(0.0, noise, t.q.shape), t.u, t.joint_names) for t in demos]
-    view = View(truth.features, Table(given))
-    moved = Motion.of(view, whole(view), table.Settings(arm=table.ArmErrors(np.radians(0.1), 5e-4)))
-    return moved, np.linalg.qr((truth.selection @ np.linalg.pinv(view.W)).T)[0].T
-
-
 def test_columns_of_the_fit_are_derivatives():
     """Where the rows hold: by the rows, by the joints' zeros and, scaled to these, by the links, central differences
     of what is left of the displacements, weighted, less the constants of each stretch.
     """
-    moved, true = motion(3, 0.0, 0.005)
+    rng = np.random.default_rng(3)
+    demos, truth = guided_motions(arm_features(), oblique(2, 3, rng), rng, 3, 40, 0.005)
+    view = View(truth.features, Table(list(demos)))
+    moved = Motion.of(view, whole(view), table.Settings(arm=table.ArmErrors(np.radians(0.1), 5e-4)))
+    true = np.linalg.qr((truth.selection @ np.linalg.pinv(view.W)).T)[0].T
     fit, h, nv = RowFit(moved, true), 1e-6, moved.x.shape[1]
 
     def residual(rows: np.ndarray, zeros: np.ndarray) -> np.ndarray:

@@ -5,6 +5,7 @@ too; places are those of the largest likelihood.
 from __future__ import annotations
 
 import json
+from collections import defaultdict
 from dataclasses import replace
 
 import numpy as np
@@ -129,14 +130,6 @@ def test_links_change_the_rates_of_rows(make, rng):
     assert changes_by_links(own, np.ones((2, 3)), np.ones((2, 3))).shape == (2, 3, 0)
 
 
-def fitted(demos, features: ml.FeatureMap, s: int = 2) -> tuple[View, RowFit]:
-    """Rows by positions."""
-    view = View(features, Table(list(demos)))
-    whole = [Stretch(i, *map(float, ends)) for i, ends in enumerate(view.table.ends)]
-    motion = Motion.of(view, whole, Settings())
-    return view, RowFit(motion, orthonormal_rows(motion.levels.directions[:s])).best()
-
-
 def test_the_report_states_the_parts():
     """The total is the root of the sum of squares; what does not apply is None, as all is of one trajectory; words,
     JSON and the file say it. With the policy integrated out, and no joint zeros, which the joint estimator leaves out
@@ -171,59 +164,48 @@ AXIS = np.array([0.2, -0.3, 0.93]) / np.linalg.norm([0.2, -0.3, 0.93])
 POINT = np.array([0.55, 0.25, 0.35])
 MIDDLE = np.array([0.2, -0.4, 0.1, -2.0, 0.1, 1.7, 0.8])
 TIP = "panda_hand_tcp"
-KINDS = {  # path, form of the rows, their number
-    "hinge": (about(AXIS, POINT, 0.7, firm=False), "point", 2),
-    "screw, firm": (about(AXIS, POINT, 0.8, pitch=0.04), "twist", 5),
-}
 SETS, WHITE = 60, 1e-3
 
 
-def place_of(robot: ml.Robot, kind: str, postures: list[np.ndarray]) -> tuple[RowFit, ml.Mechanism]:
-    """The fit by positions, and the mechanism at its place with what is stated."""
-    _, form, s = KINDS[kind]
-    time = 0.02 * np.arange(len(postures[0]))
-    demos = [ml.derive_velocities(ml.Trajectory(time, q, None, robot.joint_names), robot) for q in postures]
-    _, fit = fitted(demos, PlaceRows(robot, TIP, form, robot.position(MIDDLE, TIP)), s)
-    found = placed(fit, errors_of(fit, ArmErrors(), np.random.default_rng(0)))
-    assert found is not None and found.kind.name == kind
-    return fit, found.mechanism
-
-
-def errors(m: ml.Mechanism, radius: float) -> dict[str, tuple[float, float]]:
-    """Error and what is stated, by parameter."""
-    out = {
-        "axis": (np.degrees(np.linalg.norm(np.cross(AXIS, m.axis))), m.uncertainty["axis"]),
-        "point": (np.linalg.norm(np.cross(AXIS, m.point - POINT)), m.uncertainty["point"]),
-    }
-    if m.grip != "firm":
-        out["radius"] = abs(m.radius - radius), m.uncertainty["radius"]
-    if m.pitch is not None:
-        out["pitch"] = abs(m.pitch - 0.04), m.uncertainty["pitch"]
-    return out
-
-
-def exact_postures(robot: ml.Robot, kind: str) -> list[np.ndarray]:
-    """Of five motions without noise."""
-    return [t.q for t in demonstrate(robot, TIP, MIDDLE, KINDS[kind][0], np.random.default_rng(3), noise=0.0)]
-
-
-@pytest.mark.parametrize(("kind", "smoothed"), [("screw, firm", False), ("hinge", True)])
-def test_what_is_stated_holds_in_two_cases_of_three(robot_of, kind, smoothed):
+@pytest.mark.parametrize(
+    ("kind", "path", "form", "s", "smoothed"),
+    [
+        ("screw, firm", about(AXIS, POINT, 0.8, pitch=0.04), "twist", 5, False),
+        ("hinge", about(AXIS, POINT, 0.7, firm=False), "point", 2, True),
+    ],
+    ids=["screw", "hinge"],
+)
+def test_what_is_stated_holds_in_two_cases_of_three(robot_of, kind, path, form, s, smoothed):
     """Over 60 draws of the encoders' noise, white or shared by neighbours, each parameter is within what is stated in
     52 to 88 % of them (70 % and three standard errors), and its median error is no less than a third of that; the
     variance of the noise is told to 5 %.
     """
-    robot = robot_of("panda")
-    exact, rng, inside, variances = exact_postures(robot, kind), np.random.default_rng(11), {}, []
-    radius = float(np.linalg.norm(np.cross(AXIS, robot.position(exact[0][0], TIP) - POINT)))
+    robot, rng, inside, variances = robot_of("panda"), np.random.default_rng(11), defaultdict[str, list](list), []
+    exact = [t.q for t in demonstrate(robot, TIP, MIDDLE, path, np.random.default_rng(3), noise=0.0)]
+    features = PlaceRows(robot, TIP, form, robot.position(MIDDLE, TIP))
+    time, radius = (
+        0.02 * np.arange(len(exact[0])),
+        np.linalg.norm(np.cross(AXIS, robot.position(exact[0][0], TIP) - POINT)),
+    )
     for _ in range(SETS):
         noise = [rng.normal(0.0, WHITE, q.shape) for q in exact]
         if smoothed:
             noise = [np.apply_along_axis(np.convolve, 0, e, np.full(5, 0.2), "same") for e in noise]
-        fit, m = place_of(robot, kind, [q + e for q, e in zip(exact, noise, strict=True)])
+        given = (ml.Trajectory(time, q + e, None, robot.joint_names) for q, e in zip(exact, noise, strict=True))
+        view = View(features, Table([ml.derive_velocities(t, robot) for t in given]))
+        motion = Motion.of(view, [Stretch(i, *map(float, x)) for i, x in enumerate(view.table.ends)], Settings())
+        fit = RowFit(motion, orthonormal_rows(motion.levels.directions[:s])).best()
+        found = placed(fit, errors_of(fit, ArmErrors(), np.random.default_rng(0)))
+        assert found is not None and found.kind.name == kind
+        m = found.mechanism
         variances.append(fit.variance)
-        for name, (error, stated) in errors(m, radius).items():
-            inside.setdefault(name, []).append(error / stated)
+        errors = {
+            "axis": np.degrees(np.linalg.norm(np.cross(AXIS, m.axis))),
+            "point": np.linalg.norm(np.cross(AXIS, m.point - POINT)),
+            **({"pitch": abs(m.pitch - 0.04)} if m.grip == "firm" else {"radius": abs(m.radius - radius)}),
+        }
+        for name, error in errors.items():
+            inside[name].append(error / m.uncertainty[name])
     assert smoothed or np.mean(variances) == pytest.approx(WHITE**2, rel=0.05)
     for name, ratios in inside.items():
         assert 0.52 <= np.mean(np.array(ratios) <= 1.0) <= 0.88, name

@@ -21,7 +21,7 @@ import nbformat
 import numpy as np
 from nbclient import NotebookClient
 from own_arm import NAMES, write_package
-from recordings import FREE, motions, write_bag, write_numbered, write_plotjuggler
+from recordings import FREE, motions, write_bag, write_plotjuggler
 
 import manip_learn as ml
 
@@ -52,15 +52,6 @@ class Hour:
             wrong = said[-600:]
         self.note(title + advised, wrong)
         return done.stdout
-
-    def refused(self, title: str, *arguments: str, words: str) -> None:
-        """A mistake that a user makes: one short message that says what helps."""
-        done = self._run(arguments)
-        said = done.stderr.strip()
-        wrong = "" if done.returncode == 2 and re.search(words, said) else f"exit {done.returncode}: {said[-600:]}"
-        if "Traceback" in said or len(said) > 1200:
-            wrong = f"too long, or a traceback: {said[-600:]}"
-        self.note(f"{title} (to be refused)", wrong)
 
     def note(self, title: str, wrong: str) -> None:
         print(f"{'DEAD END' if wrong else 'ok':9s}{title}", flush=True)
@@ -108,7 +99,7 @@ def describe_the_arm(hour: Hour, urdf: str) -> None:
 
 def learn_from_files(hour: Hour, urdf: str) -> None:
     demos = motions(ml.load_robot(urdf))
-    for title, write in (("bags", write_bag), ("PlotJuggler", write_plotjuggler), ("numbered", write_numbered)):
+    for title, write in (("bags", write_bag), ("PlotJuggler", write_plotjuggler)):
         (hour.folder / title).mkdir()
         for i, demo in enumerate(demos):
             write(hour.folder / title / f"demo_{i}.csv", demo)
@@ -141,18 +132,6 @@ def control_and_replay(hour: Hour, urdf: str) -> None:
     hour.type("audit", "audit", urdf, "line.json", "bags")
 
 
-def make_mistakes(hour: Hour, urdf: str) -> None:
-    for title, words, *typed in (
-        ("a frame with a typing error", "tool0", "learn", urdf, "bags", "--frame", "tool"),
-        ("a folder that is not there", "bgas", "learn", urdf, "bgas", *FRAME),
-        ("another robot's constraint", "my_arm", "control", "sawyer", "line.json"),
-        ("a turn of a line", "--along", "control", urdf, "line.json", "--turn", "30"),
-        ("a way that is too long", "longer than the demonstrations", "control", urdf, "line.json", "--along", "9"),
-        ("a robot that does not exist", "sawyer", "inspect", "sayer"),
-    ):
-        hour.refused(title, *typed, words=words)
-
-
 def work_in_a_notebook(hour: Hour, urdf: str) -> None:
     cells = [
         f"import manip_learn as ml\nrobot = ml.load_robot({urdf!r})\nrobot",
@@ -181,7 +160,7 @@ def main() -> int:
     hour.folder.mkdir(parents=True, exist_ok=True)
     urdf = str(write_package(hour.folder))
     look_around(hour)
-    for part in (describe_the_arm, learn_from_files, control_and_replay, make_mistakes, work_in_a_notebook):
+    for part in (describe_the_arm, learn_from_files, control_and_replay, work_in_a_notebook):
         part(hour, urdf)
     print(f"{len(hour.dead_ends)} dead ends")
     return int(bool(hour.dead_ends))

@@ -33,13 +33,8 @@ def write_plotjuggler(path: Path, demo: ml.Trajectory) -> None:
     """CSV export of PlotJuggler: time of day, one column per field of the topic, velocities and efforts too."""
     fields = [f"/joint_states/{n}/{field}" for field in ("position", "velocity", "effort") for n in demo.joint_names]
     velocities = np.gradient(demo.q, demo.time, axis=0)
-    _write(path, ["__time", *fields], EPOCH + demo.time, demo.q, velocities, 0.1 * demo.q)
-
-
-def write_numbered(path: Path, demo: ml.Trajectory) -> None:
-    """Log of a controller of one's own: t, q[0] ..., dq[0] ..."""
-    header = ["t", *(f"{letters}[{j}]" for letters in ("q", "dq") for j in range(demo.q.shape[1]))]
-    _write(path, header, demo.time, demo.q, np.gradient(demo.q, demo.time, axis=0))
+    table = np.column_stack([EPOCH + demo.time, demo.q, velocities, 0.1 * demo.q])
+    np.savetxt(path, table, "%.17g", ",", header=",".join(["__time", *fields]), comments="")
 
 
 def write_bag(path: Path, demo: ml.Trajectory) -> None:
@@ -55,7 +50,3 @@ def write_bag(path: Path, demo: ml.Trajectory) -> None:
             at = header(stamp=stamp(*divmod(nanoseconds, 10**9)), frame_id="base_link")
             message = types.types[kind](at, names, q[::-1].copy(), none, none)
             writer.write(connection, nanoseconds, types.serialize_cdr(message, kind))
-
-
-def _write(path: Path, header: list[str], *parts: np.ndarray) -> None:
-    np.savetxt(path, np.column_stack(parts), "%.17g", ",", header=",".join(header), comments="")
