@@ -6,7 +6,6 @@ import json
 from pathlib import Path
 
 import numpy as np
-import pinocchio as pin
 import pytest
 from case import case
 from numpy.testing import assert_allclose, assert_array_equal
@@ -76,19 +75,6 @@ def test_a_constraint_knows_its_objects(robot: ml.Robot, tmp_path: Path) -> None
     for objects in ((), ("cup",), ("box", "cup")):
         with pytest.raises(ConstraintMismatchError):
             ml.Constraint.load(file, ml.load_robot("sawyer", objects=objects))
-
-
-def test_a_constant_twist_is_found_exactly(robot: ml.Robot) -> None:
-    """A screw motion pin.exp6(v t) has the LOCAL twist v throughout, also beyond half a turn."""
-    v, time, columns = np.array([0.1, -0.05, 0.2, 0.3, 1.2, -0.6]), np.arange(300) * 0.01, columns_of(robot)
-    start = pin.SE3(pin.exp3(np.array([0.3, 0.2, 0.1])), np.array([0.5, 0.1, 0.2]))
-    x = np.zeros((len(time), robot.nv))
-    for i, t in enumerate(time):
-        M = start * pin.exp6(pin.Motion(v * t))
-        x[i, columns] = np.concatenate([M.translation, pin.log3(M.rotation)])
-    derived = ml.derive_velocities(ml.Trajectory(time, x, None, robot.joint_names), robot)
-    assert derived.u is not None
-    assert_allclose(derived.u[:, columns], np.tile(v, (len(derived), 1)), atol=1e-4)
 
 
 def write(path: Path, names: list[str], columns: np.ndarray, time: np.ndarray) -> Path:

@@ -1,4 +1,4 @@
-"""Motions of the arm along a line that its hand was held on, in the files that other programs write."""
+"""Motions of the arm along a line that its hand was held on, in the bags that ROS 2 writes."""
 
 from __future__ import annotations
 
@@ -29,21 +29,13 @@ def motions(robot: ml.Robot, count: int = 6) -> list[ml.Trajectory]:
     return found
 
 
-def write_plotjuggler(path: Path, demo: ml.Trajectory) -> None:
-    """CSV export of PlotJuggler: time of day, one column per field of the topic, velocities and efforts too."""
-    fields = [f"/joint_states/{n}/{field}" for field in ("position", "velocity", "effort") for n in demo.joint_names]
-    velocities = np.gradient(demo.q, demo.time, axis=0)
-    table = np.column_stack([EPOCH + demo.time, demo.q, velocities, 0.1 * demo.q])
-    np.savetxt(path, table, "%.17g", ",", header=",".join(["__time", *fields]), comments="")
-
-
 def write_bag(path: Path, demo: ml.Trajectory) -> None:
     """ROS 2 bag (MCAP) of /joint_states, joints in another order than the robot's."""
     types = get_typestore(Stores.ROS2_JAZZY)
     kind = "sensor_msgs/msg/JointState"
     header, stamp = types.types["std_msgs/msg/Header"], types.types["builtin_interfaces/msg/Time"]
     names, none = list(demo.joint_names)[::-1], np.zeros(0)
-    with Writer(path.with_suffix(""), version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+    with Writer(path, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
         connection = writer.add_connection("/joint_states", kind, typestore=types)
         for t, q in zip(demo.time, demo.q, strict=True):
             nanoseconds = int((EPOCH + t) * 1e9)
