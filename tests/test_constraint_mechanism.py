@@ -39,14 +39,12 @@ def padded(rows: np.ndarray) -> np.ndarray:
     [
         ("xyz", ACROSS, "line", AXIS, "free"),
         ("xyz", AXIS[None], "plane", AXIS, "free"),
-        ("xyz", np.eye(3), None, None, ""),
         ("x y", [[1.0, 0.0]], None, None, ""),
         ("pose", padded(ACROSS), "line", AXIS, "free"),
         ("pose", np.vstack([padded(ACROSS), TURNS]), "line", AXIS, "fixed"),
         ("pose", np.vstack([padded(AXIS[None]), TURNS[:2]]), "plane", AXIS, "about-axis"),
         ("pose", np.hstack([np.zeros((2, 3)), ACROSS]), "held-orientation", AXIS, "about-axis"),
         ("pose", TURNS, "held-orientation", None, "fixed"),
-        ("rotation", ACROSS, "held-orientation", AXIS, "about-axis"),
         ("pose", [[0.7, 0.0, 0.0, 0.7, 0.0, 0.0]], None, None, ""),
     ],
 )

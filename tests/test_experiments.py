@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import json
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -19,7 +18,7 @@ from manip_learn.experiments import reproduce, sawyer, singular_starts, table
 from manip_learn.experiments.metrics import manipulability_along, mie, nmie, policy_rmse, scale_free_nmie
 from manip_learn.experiments.paper_setup import PAPER_NMIE, SELECTIONS, Setup
 from manip_learn.experiments.reproduce import write_result
-from manip_learn.experiments.results import TrialsResult, number, share, summary
+from manip_learn.experiments.results import number, share, summary
 from manip_learn.experiments.table import LABELS, LearningCase, learning_trial
 from manip_learn.experiments.trials import Trials
 
@@ -27,38 +26,25 @@ pytestmark = pytest.mark.timeout(400)  # fixtures of half a minute, which others
 ANSWER = {"rows": 2, "train": 0.1, "scale_free": 0.2, "angle_deg": 0.3, "seconds": 0.5}
 
 
-class Result(TrialsResult):
-    """Outcomes without tables."""
-
-    to_dict = markdown = figures = lambda self: {}  # type: ignore[assignment]
-
-
-@dataclass(frozen=True)
-class Dice:
-    """Settings of a trial that only draws."""
-
-    sides: int
-
-
-def throw(of: Dice, rng: Generator) -> dict[str, int]:
-    """A trial."""
-    return {"value": int(rng.integers(of.sides))}
+def throw(_: Setup, rng: Generator) -> dict[str, int]:
+    """A trial that only draws."""
+    return {"value": int(rng.integers(10**9))}
 
 
 def run(name: str, trial, setting, trials: int, seed: int, workers: int = 1) -> list[dict[str, Any]]:
     """Outcomes of one case."""
-    experiment = Trials(name, trial, {"case": setting}, Result)
+    experiment = Trials(name, trial, {"case": setting}, table.TableResult)
     return experiment.run(trials, np.random.default_rng(seed), workers).outcomes["case"]
 
 
 def test_trials_have_seeds_of_their_own():
     """Trials differ from each other, the same call gives the same numbers, another seed or experiment other ones."""
-    first = run("dice", throw, Dice(10**9), 12, seed=3)
+    first = run("dice", throw, Setup(), 12, seed=3)
     assert len({t["value"] for t in first}) == 12
-    assert run("dice", throw, Dice(10**9), 12, seed=3) == first
-    assert run("dice", throw, Dice(10**9), 12, seed=4) != first
-    assert run("coins", throw, Dice(10**9), 12, seed=3) != first
-    assert run("dice", throw, Dice(10**9), 3, seed=3) == first[:3]
+    assert run("dice", throw, Setup(), 12, seed=3) == first
+    assert run("dice", throw, Setup(), 12, seed=4) != first
+    assert run("coins", throw, Setup(), 12, seed=3) != first
+    assert run("dice", throw, Setup(), 3, seed=3) == first[:3]
 
 
 def test_number_of_workers_does_not_change_numbers():
