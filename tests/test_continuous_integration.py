@@ -25,10 +25,11 @@ def read(name: str) -> str:
 
 
 def test_the_workflow_runs_what_a_developer_runs():
-    """`.ci/run` runs on the lowest Python, with the history and the base of the pull request, which its check of the
-    changelog needs.
+    """`.ci/run` runs on the lowest Python, with rights to read, and with the history and the base of the pull request,
+    which its check of the changelog needs.
     """
     workflow = YAML(typ="safe").load(read(".github/workflows/ci.yml"))
+    assert workflow["permissions"] == {"contents": "read"}
     checkout, python, run = workflow["jobs"]["everything"]["steps"]
     assert checkout["with"]["fetch-depth"] == 0
     assert f'requires-python = ">={python["with"]["python-version"]}' in read("pyproject.toml")

@@ -18,7 +18,7 @@ from manip_learn.experiments import reproduce, sawyer, singular_starts, table
 from manip_learn.experiments.metrics import manipulability_along, mie, nmie, policy_rmse, scale_free_nmie
 from manip_learn.experiments.paper_setup import PAPER_NMIE, SELECTIONS, Setup
 from manip_learn.experiments.reproduce import write_result
-from manip_learn.experiments.results import number, share, summary
+from manip_learn.experiments.results import summary
 from manip_learn.experiments.table import LABELS, LearningCase, learning_trial
 from manip_learn.experiments.trials import Trials
 
@@ -103,15 +103,6 @@ def test_table_has_the_shape_that_checks_read():
         assert block["ours"]["auto"]["rows_right"] == pytest.approx(2.0 / 3.0)
     assert "| joint, affine policy | 3 +- 2.6 | 2 | 6 | 0.1 +- " in result.markdown()
     assert result.rows()[1] | {"auto.refused": "too-few", "separate.test": 2.0} == result.rows()[1]
-
-
-def test_statistics_and_numbers_for_tables():
-    """Mean, sample s.d., median and worst, None where there is no number; short words, and never misleading ones."""
-    assert summary([1.0, None, 2.0, 6.0]) == {"mean": 3.0, "sd": 7.0**0.5, "median": 2.0, "worst": 6.0, "n": 3}
-    assert summary([4.0])["sd"] == 0.0 and summary([]) == dict.fromkeys(("mean", "sd", "median", "worst")) | {"n": 0}
-    assert share([True, False]) == 0.5 and share([]) is None
-    words = {None: "-", 0.0: "0", 1.23e-7: "1.2e-07", 0.314: "0.31", 9.96: "10", 1000.0: "1.0e+03", 0.00999: "1.0e-02"}
-    assert [number(value) for value in words] == list(words.values())
 
 
 def test_errors_are_as_defined(robot_of, rng):

@@ -37,12 +37,6 @@ def noisy(seed: int, offset: float):
     return *guided_motions(arm_features(), oblique(2, 3, rng), rng, 10, 12, 0.05, noise=0.02), np.zeros(7)
 
 
-def reaching(seed: int, offset: float):
-    """The paper's arm."""
-    rows = list(PLANAR_ROWS.values())[seed % 3]
-    return *paper_motions(rows, np.random.default_rng(seed), n_trajectories=40, noise=0.01), np.zeros(3)
-
-
 def learnt(demos, truth, **settings):
     """Two held rows of cut recordings."""
     given = {"estimator": "null-space", "phases": "off", "mechanism": "off"} | settings
@@ -54,12 +48,8 @@ def learnt(demos, truth, **settings):
     [
         (held, 0.1, range(20), 1.0, {"links": 0.0}),
         (noisy, 0.0, range(7000, 7024), 0.85, {}),
-        pytest.param(
-            reaching, 0.0, range(7000, 7024), 0.85, {"estimator": "joint", "policy_model": "affine"},
-            marks=pytest.mark.slow,
-        ),
     ],
-)  # fmt: skip
+)
 def test_the_error_is_within_what_is_stated(make, zeros: float, seeds: range, most: float, settings):
     """Zeros off by what the learner was told: angle and mu are within what is stated in one of two of 20 sets at least,
     within twice that in nine of ten, and not by stating everything: the median is no less than a fifth of it. Of noise
@@ -147,7 +137,7 @@ def test_the_report_states_the_parts():
     assert "not included: a base that stands turned" in said
     assert report.mu_uncertainty is not None and 0.0 < report.mu_uncertainty < 0.1 and ", mu to 0." in said
     assert written["mu_uncertainty"] == report.mu_uncertainty
-    demos, truth, _ = reaching(4, 0.0)
+    demos, truth = paper_motions(PLANAR_ROWS["x-theta"], np.random.default_rng(4), n_trajectories=40, noise=0.01)
     joint = ml.ConstraintLearner(truth.features, 2, "joint").fit(demos).report_
     assert [part for part in PARTS if joint.uncertainty[part] is None] == [JOINT_ZEROS]
     assert "not included: joint zeros that are off and a base that stands turned" in joint.known_to()

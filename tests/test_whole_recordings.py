@@ -138,11 +138,12 @@ def test_free_motion_is_no_constraint(kind: str):
         pytest.param("door", "ur5", 606, False, id="short arcs among long ones"),
         pytest.param("door", "xarm7", 601, True, id="a piece of the arc that is a line of its own"),
         pytest.param("drawer", "ur5", 7002, True, id="slips so large that the evidence of all eight drowns in them"),
+        pytest.param("drawer", "xarm7", 1201, True, id="a slip that the phases cut out"),
     ],
 )
 def test_a_slip_is_named_and_nothing_else(thing: str, robot: str, seed: int, whole: bool):
-    """The hand slips in some of eight recordings: these are named, and the others show the hinge of the door to a
-    millimetre, the line of the drawer to 0.02 degrees.
+    """The hand slips in some of eight recordings: these are named, some with the moment, and the others show the hinge
+    of the door to a millimetre, the line of the drawer to 0.02 degrees.
     """
     truth, demos = generated(f"{thing}_slip", robot, seed, 8, whole)
     learner = learnt(robot, truth["tip"], demos)
@@ -151,18 +152,10 @@ def test_a_slip_is_named_and_nothing_else(thing: str, robot: str, seed: int, who
         assert away_from_axis(learner.report_, truth["mechanisms"][0]) < 1e-3
     else:
         assert degrees(learner.constraint_, truth) < 0.02
-
-
-@pytest.mark.timeout(120)
-def test_a_slip_that_the_phases_cut_out_is_named():
-    """The answer is right without the slip, and the recording is named with its moment."""
-    truth, demos = generated("drawer_slip", "xarm7", 1201, 8, whole=True)
-    report = learnt("xarm7", truth["tip"], demos).report_
-    assert named(report) == {f"demo_{i}" for i in truth["contaminated"]}
-    for odd, number in zip(report.odd_trajectories, truth["contaminated"], strict=True):
+    for odd, number in zip(learner.report_.odd_trajectories, truth["contaminated"], strict=True):
         (_, before, _), (after, _, _) = truth["windows"][number]
         said = re.search(r"(?:at|interrupted from) (\d+\.\d+) s", odd.reason)
-        assert said is not None and before - 0.3 < float(said[1]) < after + 0.1
+        assert seed != 1201 or (said is not None and before - 0.3 < float(said[1]) < after + 0.1)
 
 
 def test_phases_can_be_turned_off():
