@@ -99,7 +99,7 @@ def test_nothing_is_learnt_before_a_fit():
     learner = ml.ConstraintLearner(planar_features())
     for name in ("constraint_", "constraints_", "report_", "reports_"):
         assert not hasattr(learner, name)
-        with pytest.raises(NotFittedError, match=rf"call learner.fit\(demonstrations\) first: there is no {name}"):
+        with pytest.raises(NotFittedError, match=rf"call learner.fit\(demonstrations\) first: {name} exists only after it"):
             getattr(learner, name)
     with pytest.raises(AttributeError, match="'report'"):
         getattr(learner, "report")  # noqa: B009

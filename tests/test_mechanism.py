@@ -64,12 +64,6 @@ def fit(name: str, demos: list[ml.Trajectory], axes: str = "pose", zeros: float 
     return ml.ConstraintLearner(ml.FrameJacobian(arm(name), HANDS[name][0], axes), **settings).fit(demos)
 
 
-def find(name, demos) -> ml.Mechanism:
-    m = fit(name, demos).report_.mechanism
-    assert m is not None
-    return m
-
-
 def degrees_between(a, b):
     return float(np.degrees(np.arcsin(min(1.0, np.linalg.norm(np.cross(a, b))))))
 
@@ -146,8 +140,8 @@ def test_a_hand_that_turns_alike_each_time_is_no_screw():
         turn = Rotation.from_rotvec(0.8 * np.outer((p - pose[:3, 3]) @ AXIS, across(AXIS)[0]))  # 11 degrees
         return p, turn.as_matrix() @ pose[:3, :3]
 
-    m = find("panda", recordings("panda", [path] * 3, grip=0.02))
-    assert m.type == "line" and degrees_between(m.axis, AXIS) < 0.25
+    m = fit("panda", recordings("panda", [path] * 3, grip=0.02)).report_.mechanism
+    assert m is not None and m.type == "line" and degrees_between(m.axis, AXIS) < 0.25
 
 
 def test_doors_in_different_places_have_no_common_one():
@@ -176,11 +170,6 @@ def test_a_place_that_is_known_badly_is_doubted(off, point, doubted):
 # ---- setups, places and shapes ------------------------------------------------------------------------------------
 
 
-def learner_of(name: str, demos: list[ml.Trajectory]) -> ml.ConstraintLearner:
-    """Fit the hand's position."""
-    return fit(name, demos, "xyz", None)
-
-
 def turned(degrees: float, axis: tuple[float, float, float] = (0.0, 0.0, 1.0)) -> Rotation:
     """A rotation."""
     return Rotation.from_rotvec(np.radians(degrees) * np.array(axis))
@@ -196,7 +185,7 @@ def test_two_setups_a_degree_apart_are_learnt_apart() -> None:
     """Half of the recordings each; averaged they would be half a degree off both, without a word."""
     other = turned(1.0, (0.0, 0.7, 0.7)).apply(DRAWER)
     given = [along(other if i % 2 else DRAWER, 0.25, firm=False) for i in range(8)]
-    found = learner_of("xarm7", recordings("xarm7", given, 3))
+    found = fit("xarm7", recordings("xarm7", given, 3), "xyz", None)
     assert len(found.constraints_) == 2
     assert max(min(angle(c, free) for c in found.constraints_) for free in (DRAWER, other)) < 0.25
     assert all(any(words in w for w in found.report_.warnings) for words in ("differ by", "2 tasks"))
@@ -205,7 +194,7 @@ def test_two_setups_a_degree_apart_are_learnt_apart() -> None:
 def test_what_was_moved_between_recordings_is_learnt_as_it_stood_last() -> None:
     """A drawer that stood elsewhere in each recording; all recordings count as contacts with it."""
     stood = [turned(a).apply(DRAWER) for a in (-4.0, 3.0, -1.5, 5.0, 1.0, -2.5)]
-    found = learner_of("panda", recordings("panda", [along(free, 0.25, firm=False) for free in stood], 5))
+    found = fit("panda", recordings("panda", [along(free, 0.25, firm=False) for free in stood], 5), "xyz", None)
     assert len(found.constraints_) == 1 and found.constraint_.n_constraints == 2
     assert angle(found.constraint_, stood[-1]) < 0.3
     assert any("moved between recordings" in w and "demo_5" in w for w in found.report_.warnings)
@@ -215,7 +204,9 @@ def test_what_was_moved_between_recordings_is_learnt_as_it_stood_last() -> None:
 
 def test_an_arm_whose_zeros_are_off_sees_one_drawer() -> None:
     """By a degree, with encoders so fine that every posture shows another direction clearly."""
-    found = learner_of("xarm7", recordings("xarm7", [along(DRAWER, 0.2, firm=False)] * 8, 7, noise=2e-5, zeros=1.0))
+    found = fit(
+        "xarm7", recordings("xarm7", [along(DRAWER, 0.2, firm=False)] * 8, 7, noise=2e-5, zeros=1.0), "xyz", None
+    )
     assert len(found.constraints_) == 1 and found.constraint_.n_constraints == 2
     assert not any("moved" in w or "tasks" in w for w in found.report_.warnings)
 
@@ -228,7 +219,7 @@ def test_a_bent_rail_is_a_curve_and_no_ball() -> None:
         return pose[:3, 3] + np.hstack([0.3 * s, s, 0.05 * np.sin(s / 0.08)]), None
 
     demos = recordings("panda", [rail] * 6, 9)
-    found = learner_of("panda", demos)
+    found = fit("panda", demos, "xyz", None)
     constraint, mechanism = found.constraint_, found.report_.mechanism
     assert constraint.n_constraints == 2 and mechanism is not None and mechanism.name == "curve"
     assert "curve of" in found.report_.sentence and "rail" in found.report_.sentence
@@ -244,7 +235,7 @@ def test_a_wide_cylinder_is_no_plane() -> None:
         phi, up = wave(rng, np.array([0.14, 0.14])).T
         return pose[:3, 3] + np.column_stack([np.sin(phi), up, np.cos(phi) - 1.0]), None
 
-    found = learner_of("xarm7", recordings("xarm7", [side] * 6, 11))
+    found = fit("xarm7", recordings("xarm7", [side] * 6, 11), "xyz", None)
     mechanism = found.report_.mechanism
     assert found.constraint_.n_constraints == 1 and mechanism is not None and mechanism.name == "cylinder"
     assert mechanism.radius == pytest.approx(1.0, rel=0.05) and abs(mechanism.axis[1]) > 0.999
