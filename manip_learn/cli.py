@@ -95,7 +95,7 @@ def _exit_code(command: Callable[[], Any], as_json: bool) -> int:
     from typer._click.exceptions import UsageError  # typer itself exports only children of click's errors
 
     from manip_learn.commands.command_line import PROGRAM_NAME
-    from manip_learn.commands.output import nobody_reads, refuse, refused_by_system
+    from manip_learn.commands.output import discard_output, refuse, system_refusal
     from manip_learn.errors import ManipLearnError
 
     try:
@@ -111,17 +111,17 @@ def _exit_code(command: Callable[[], Any], as_json: bool) -> int:
         print("interrupted", file=sys.stderr)
         return INTERRUPTED
     except BrokenPipeError:
-        return nobody_reads()
-    except SystemExit as end:  # from a signal, from a completion, or from rich and typer for a closed pipe
+        return discard_output()
+    except SystemExit as end:  # of a signal; of a completion; of rich and typer, for a pipe that nobody reads
         code = end.code if isinstance(end.code, int) else 1
-        return code if code > 128 or COMPLETION in os.environ else nobody_reads()
+        return code if code > 128 or COMPLETION in os.environ else discard_output()
     except MemoryError as error:
         fix = "take fewer or shorter recordings, a shorter --duration or a larger --dt"
         return refuse(f"not enough memory ({error or 'even for small objects'}): {fix}", as_json, "system")
     except OSError as error:
         if isinstance(error.__context__, SystemExit):  # SIGHUP: the terminal to be restored has closed
             return int(error.__context__.code or 1)
-        return refuse(refused_by_system(error), as_json, "system")
+        return refuse(system_refusal(error), as_json, "system")
     except Exception as error:  # last resort: a sentence, not a traceback
         if _phase == "interrupted":  # Ctrl-C during an import that reports its own failure
             return INTERRUPTED

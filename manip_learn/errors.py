@@ -478,7 +478,6 @@ class OutputError(ManipLearnError):
     code = "output"
 
 
-@final
 def install_hint(extra: str) -> str:
     """Return the commands that install an optional extra.
 
@@ -488,6 +487,7 @@ def install_hint(extra: str) -> str:
     return f"pip install '.[{extra}]' in a checkout, elsewhere pip install 'manip_learn[{extra}]'"
 
 
+@final
 class MissingExtraError(ManipLearnError):
     """An optional dependency is not installed.
 

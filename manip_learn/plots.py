@@ -16,7 +16,7 @@ from manip_learn.constraint.constraint import Constraint
 from manip_learn.control.rollout import Rollout
 from manip_learn.errors import ManipLearnError, MissingExtraError, an
 from manip_learn.learning.report import LearningReport
-from manip_learn.learning.table import BELIEVED, CLEAR_GAP
+from manip_learn.learning.table import CLEAR_GAP, STRENGTH
 from manip_learn.playback.palette import COLOURS, rollout_colours
 
 if TYPE_CHECKING:
@@ -152,12 +152,12 @@ def evidence(report: LearningReport, ax: Axes | None = None, style: Style = "pag
     ax.barh(number, [row.strength - 1.0 for row in rows], left=1.0, color=colours, height=0.6)
     for n, row in zip(number, rows, strict=True):
         ax.annotate(f" p = {row.p_value:.2g}", (max(row.strength, 1.0), n), va="center", fontsize="small")
-    ax.axvline(BELIEVED, color=GREY, linestyle=":", linewidth=1.0)
+    ax.axvline(STRENGTH, color=GREY, linestyle=":", linewidth=1.0)
     ax.set_xscale("log")
-    ax.set(xlabel=f"strength [ratio], believed above {BELIEVED:g}", ylabel="row")
+    ax.set(xlabel=f"strength [ratio], believed above {STRENGTH:g}", ylabel="row")
     ax.set_yticks(number, [f"{n}: {row.state}" for n, row in zip(number, rows, strict=True)])
     ax.invert_yaxis()
-    ax.set_xlim(1.0, 30.0 * max(BELIEVED, *(row.strength for row in rows)))  # room for the labels
+    ax.set_xlim(1.0, 30.0 * max(STRENGTH, *(row.strength for row in rows)))  # room for the words
     return _finish(ax, style)
 
 

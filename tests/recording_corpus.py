@@ -59,11 +59,11 @@ def csv(rows: np.ndarray, header: str = HEADER, delimiter: str = ",", mark: str 
 
 
 def text(content: str, encoding: str = "utf-8") -> Write:
-    return lambda path: path.write_text(content, encoding=encoding, newline="") and None
+    return lambda path: path.write_text(content, encoding=encoding, newline="")
 
 
 def raw(content: bytes) -> Write:
-    return lambda path: path.write_bytes(content) and None
+    return lambda path: path.write_bytes(content)
 
 
 def npz(compressed: bool = False, **arrays: Any) -> Write:
@@ -94,93 +94,68 @@ def line_9(line: str) -> Write:
     return text("\n".join([*LINES[:8], line, *LINES[9:]]))
 
 
-def text_cases() -> list[tuple]:
-    """Tables that are written in an odd or wrong way."""
-    return [
-        ("good.csv", "accept", text(GOOD)),
-        ("good_velocities.csv", "accept", numbers(FULL)),
-        ("semicolon.csv", "accept", text(csv(TABLE, delimiter=";"))),
-        ("semicolon_decimal_comma.csv", "accept", text(csv(TABLE, delimiter=";", mark=","))),
-        ("tab.tsv", "accept", text(csv(TABLE, delimiter="\t"))),
-        ("spaces.txt", "accept", text(csv(TABLE, delimiter="   "))),
-        ("byte_order_mark.csv", "accept", text("\ufeff" + GOOD)),
-        ("utf16.csv", "encoding", text(GOOD, "utf-16")),
-        ("windows_lines.csv", "accept", text(GOOD.replace("\n", "\r\n"))),
-        ("old_mac_lines.csv", "accept", text(GOOD.replace("\n", "\r"))),
-        ("comments.csv", "accept", text("# made by hand\n% and so\n\n" + GOOD)),
-        ("no_extension", "accept", text(GOOD)),
-        ("wrong_extension.bag", "accept", text(GOOD)),
-        ("other_order.csv", "accept", numbers(TABLE[:, [3, 0, 2, 1]], "joint3,time,joint2,joint1")),
-        ("quoted_header.csv", "accept", text('"time","joint1","joint2","joint3"\n' + "\n".join(LINES[1:]))),
-        ("no_last_line_end.csv", "note", text(GOOD.rstrip("\n"))),
-        ("commented_header.csv", "note", text("# " + GOOD)),
-        ("effort.csv", "note", columns(HEADER + ",joint1_effort", TABLE, TIME)),
-        ("empty.csv", "empty", text("")),
-        ("blank.csv", "empty", text("\n\n  \n")),
-        ("header_only.csv", "too-short", text(HEADER + "\n")),
-        ("one_row.csv", "too-short", numbers(TABLE[:1])),
-        ("no_header.csv", "no-header", text("\n".join(LINES[1:]))),
-        ("stamp.csv", "note", numbers(TABLE, "stamp,joint1,joint2,joint3")),
-        ("no_time.csv", "no-time", numbers(TABLE, "zeit,joint1,joint2,joint3")),
-        ("capital_time.csv", "note", numbers(TABLE, "Time,joint1,joint2,joint3")),
-        ("unnamed_column.csv", "note", columns(HEADER + ",", TABLE, TIME)),
-        ("column_twice.csv", "duplicate-column", numbers(TABLE, "time,joint1,joint1,joint3")),
-        ("missing_joint.csv", "missing-joint", numbers(TABLE[:, :3], "time,joint1,joint2")),
-        ("misspelt_joint.csv", "missing-joint", numbers(TABLE, "time,joint1,joint2,joint_3")),
-        ("extra_column.csv", "unknown-column", columns(HEADER + ",force", TABLE, TIME)),
-        ("extra_velocity.csv", "unknown-column", columns(HEADER + VELOCITIES + ",joint9_velocity", FULL, TIME)),
-        ("some_velocities.csv", "accept", columns(HEADER + VELOCITIES[:32], FULL[:, :6])),
-        ("text_in_number.csv", "not-a-number", line_9("0.14,0.1,x,0.07")),
-        ("empty_field.csv", "not-a-number", line_9("0.14,,1.9,0.07")),
-        ("trailing_comment.csv", "not-a-number", line_9("0.14,0.1,1.9,0.07 # here")),
-        ("arabic_digits.csv", "not-a-number", line_9("0.14,\u0661,1.9,0.07")),
-        ("short_row.csv", "ragged", line_9("0.14,0.1,1.9")),
-        ("long_row.csv", "ragged", line_9("0.14,0.1,1.9,0.07,5")),
-        ("decimal_comma_in_commas.csv", "ragged", text(csv(TABLE, mark=","))),
-        ("trailing_delimiter.csv", "note", text(GOOD.replace("\n", ",\n").replace(",\n", "\n", 1))),
-        ("mixed_marks.csv", "decimal-mark", text(csv(TABLE, delimiter=";") + "1,3;1;2;3\n")),
-        ("thousands.csv", "decimal-mark", text(csv(TABLE, delimiter=";") + "1.000,5;1;2;3\n")),
-        ("cut_off.csv", "note", text(GOOD[:-14])),
-        ("cut_inside_last_number.csv", "note", text(GOOD[:-4])),
-        ("latin1.csv", "encoding", raw(GOOD.encode() + "0.5,\u00e9,1,1\n".encode("latin-1"))),
-        ("long_line.csv", "line-too-long", text("time," + "x" * 1_100_000)),
-    ]
+TEXT: list[tuple] = [  # tables that are written in an odd or wrong way
+    ("good.csv", "accept", text(GOOD)),
+    ("semicolon_decimal_comma.csv", "accept", text(csv(TABLE, delimiter=";", mark=","))),
+    ("tab.tsv", "accept", text(csv(TABLE, delimiter="\t"))),
+    ("spaces.txt", "accept", text(csv(TABLE, delimiter="   "))),
+    ("byte_order_mark.csv", "accept", text("\ufeff" + GOOD)),
+    ("utf16.csv", "encoding", text(GOOD, "utf-16")),
+    ("windows_lines.csv", "accept", text(GOOD.replace("\n", "\r\n"))),
+    ("old_mac_lines.csv", "accept", text(GOOD.replace("\n", "\r"))),
+    ("comments.csv", "accept", text("# made by hand\n% and so\n\n" + GOOD)),
+    ("wrong_extension.bag", "accept", text(GOOD)),
+    ("no_last_line_end.csv", "note", text(GOOD.rstrip("\n"))),
+    ("commented_header.csv", "note", text("# " + GOOD)),
+    ("empty.csv", "empty", text("")),
+    ("blank.csv", "empty", text("\n\n  \n")),
+    ("header_only.csv", "too-short", text(HEADER + "\n")),
+    ("one_row.csv", "too-short", numbers(TABLE[:1])),
+    ("stamp.csv", "note", numbers(TABLE, "stamp,joint1,joint2,joint3")),
+    ("unnamed_column.csv", "note", columns(HEADER + ",", TABLE, TIME)),
+    ("column_twice.csv", "duplicate-column", numbers(TABLE, "time,joint1,joint1,joint3")),
+    ("extra_velocity.csv", "unknown-column", columns(HEADER + VELOCITIES + ",joint9_velocity", FULL, TIME)),
+    ("some_velocities.csv", "accept", columns(HEADER + VELOCITIES[:32], FULL[:, :6])),
+    ("text_in_number.csv", "not-a-number", line_9("0.14,0.1,x,0.07")),
+    ("empty_field.csv", "not-a-number", line_9("0.14,,1.9,0.07")),
+    ("trailing_comment.csv", "not-a-number", line_9("0.14,0.1,1.9,0.07 # here")),
+    ("arabic_digits.csv", "not-a-number", line_9("0.14,\u0661,1.9,0.07")),
+    ("short_row.csv", "ragged", line_9("0.14,0.1,1.9")),
+    ("long_row.csv", "ragged", line_9("0.14,0.1,1.9,0.07,5")),
+    ("decimal_comma_in_commas.csv", "ragged", text(csv(TABLE, mark=","))),
+    ("mixed_marks.csv", "decimal-mark", text(csv(TABLE, delimiter=";") + "1,3;1;2;3\n")),
+    ("thousands.csv", "decimal-mark", text(csv(TABLE, delimiter=";") + "1.000,5;1;2;3\n")),
+    ("cut_off.csv", "note", text(GOOD[:-14])),
+    ("cut_inside_last_number.csv", "note", text(GOOD[:-4])),
+    ("latin1.csv", "encoding", raw(GOOD.encode() + "0.5,\u00e9,1,1\n".encode("latin-1"))),
+    ("long_line.csv", "line-too-long", text("time," + "x" * 1_100_000)),
+]
 
 
-def number_cases() -> list[tuple]:
-    """Tables whose numbers are wrong."""
-    late = (np.arange(60) >= 30)[:, None]
-    degrees = TABLE * [1, 57.29578, 57.29578, 57.29578]
-    return [
-        ("nan.csv", "not-finite", changed(7, 2, np.nan)),
-        ("infinite.csv", "not-finite", changed(7, 2, np.inf)),
-        ("too_large_for_float.csv", "not-finite", line_9("0.14,1e999,1.9,0.07")),
-        ("nan_velocity.csv", "accept", changed(7, 5, np.nan, FULL)),
-        ("backward_time.csv", "time-order", numbers(TABLE[::-1])),
-        ("two_recordings.csv", "note", numbers(np.vstack([TABLE, TABLE]))),
-        ("same_stamp.csv", "note", changed(8, 0, TABLE[7, 0])),
-        ("constant_time.csv", "too-short", numbers(TABLE * [0.0, 1.0, 1.0, 1.0])),
-        ("repeated_rows.csv", "note", numbers(np.repeat(TABLE, 2, axis=0))),
-        ("all_rows_the_same.csv", "too-short", numbers(np.repeat(TABLE[:1], 5, axis=0))),
-        ("gap.csv", "note", numbers(TABLE + np.array([1.0, 0.0, 0.0, 0.0]) * late * 5.0)),
-        ("milliseconds.csv", "note", numbers(TABLE * [1e3, 1, 1, 1])),
-        ("milliseconds_stated.csv", "accept", numbers(TABLE * [1e3, 1, 1, 1]), {"time_unit": "ms"}),
-        ("milliseconds_velocities.csv", "note", numbers(FULL * [1e3, 1, 1, 1, 1, 1, 1])),
-        ("nanoseconds_1970.csv", "too-short", numbers(TABLE * [1e9, 1, 1, 1] + [1.7e18, 0, 0, 0])),
-        ("milliseconds_1970.csv", "too-short", numbers(TABLE * [1e3, 1, 1, 1] + [1.7e12, 0, 0, 0])),
-        ("degrees.csv", "degrees", numbers(degrees)),
-        ("degrees_stated.csv", "note", numbers(degrees), {"degrees": True}),
-        ("radians_as_degrees.csv", "outside-limits", numbers(TABLE * [1, 57.3, 57.3, 57.3]), {"units": "radians"}),
-        ("small_degrees.csv", "degrees", numbers(FULL * [1, 5.73, 5.73, 5.73, 0.1, 0.1, 0.1])),
-        ("velocity_degrees.csv", "accept", numbers(FULL * [1, 1, 1, 1, 57.3, 57.3, 57.3])),
-        ("outlier.csv", "outside-limits", changed(30, 2, 1e8)),
-        ("spike.csv", "jump", changed(30, 2, 9.0)),
-        ("full_turn.csv", "jump", numbers(TABLE + late * [0, 6.2832, 0, 0])),
-    ]
-
-
-def zipped(name: str, content: str) -> Write:
-    return lambda path: archive_of(path, [(name, content.encode())])
+LATE = (np.arange(60) >= 30)[:, None]
+NUMBERS: list[tuple] = [  # tables whose numbers are wrong
+    ("nan.csv", "not-finite", changed(7, 2, np.nan)),
+    ("infinite.csv", "not-finite", changed(7, 2, np.inf)),
+    ("too_large_for_float.csv", "not-finite", line_9("0.14,1e999,1.9,0.07")),
+    ("nan_velocity.csv", "accept", changed(7, 5, np.nan, FULL)),
+    ("backward_time.csv", "time-order", numbers(TABLE[::-1])),
+    ("two_recordings.csv", "note", numbers(np.vstack([TABLE, TABLE]))),
+    ("same_stamp.csv", "note", changed(8, 0, TABLE[7, 0])),
+    ("constant_time.csv", "too-short", numbers(TABLE * [0.0, 1.0, 1.0, 1.0])),
+    ("repeated_rows.csv", "note", numbers(np.repeat(TABLE, 2, axis=0))),
+    ("all_rows_the_same.csv", "too-short", numbers(np.repeat(TABLE[:1], 5, axis=0))),
+    ("gap.csv", "note", numbers(TABLE + np.array([1.0, 0.0, 0.0, 0.0]) * LATE * 5.0)),
+    ("milliseconds_stated.csv", "accept", numbers(TABLE * [1e3, 1, 1, 1]), {"time_unit": "ms"}),
+    ("milliseconds_velocities.csv", "note", numbers(FULL * [1e3, 1, 1, 1, 1, 1, 1])),
+    ("nanoseconds_1970.csv", "too-short", numbers(TABLE * [1e9, 1, 1, 1] + [1.7e18, 0, 0, 0])),
+    ("milliseconds_1970.csv", "too-short", numbers(TABLE * [1e3, 1, 1, 1] + [1.7e12, 0, 0, 0])),
+    ("degrees_stated.csv", "note", numbers(TABLE * [1, 57.3, 57.3, 57.3]), {"degrees": True}),
+    ("radians_as_degrees.csv", "outside-limits", numbers(TABLE * [1, 57.3, 57.3, 57.3]), {"units": "radians"}),
+    ("small_degrees.csv", "degrees", numbers(FULL * [1, 5.73, 5.73, 5.73, 0.1, 0.1, 0.1])),
+    ("outlier.csv", "outside-limits", changed(30, 2, 1e8)),
+    ("spike.csv", "jump", changed(30, 2, 9.0)),
+    ("full_turn.csv", "jump", numbers(TABLE + LATE * [0, 6.2832, 0, 0])),
+]
 
 
 def other_kind_cases() -> list[tuple]:
@@ -189,8 +164,8 @@ def other_kind_cases() -> list[tuple]:
         ("pickle.pkl", "pickle", raw(pickle.dumps({"q": Q}))),
         ("bare_array.npy", "no-joint-names", raw(npy(Q))),
         ("compressed.csv.gz", "compressed", raw(gzip.compress(GOOD.encode()))),
-        ("zipped.zip", "compressed", zipped("demo.csv", GOOD)),
-        ("workbook.xlsx", "excel", zipped("xl/workbook.xml", "<workbook/>")),
+        ("zipped.zip", "compressed", archive_of([("demo.csv", GOOD.encode())])),
+        ("workbook.xlsx", "excel", archive_of([("xl/workbook.xml", b"<workbook/>")])),
         ("lfs_pointer.bag", "git-lfs", text("version https://git-lfs.github.com/spec/v1\noid sha256:00\nsize 9\n")),
         ("robot.urdf", "not-a-recording", text('<?xml version="1.0"?><robot name="r"/>')),
         ("settings.json", "not-a-recording", text('{"time": [0, 1]}')),
@@ -214,26 +189,20 @@ def archive_cases() -> list[tuple]:
     members = partial(arrays_of, joint_names=n)
     return [
         ("good.npz", "accept", npz(**good)),
-        ("good_compressed.npz", "accept", npz(compressed=True, **good)),
-        ("byte_names.npz", "accept", but(joint_names=names.astype("S"))),
         ("names_given.npz", "accept", npz(time=TIME, q=Q), {"joint_names": JOINTS}),
         ("more_arrays.npz", "note", but(camera=np.zeros((4, 4)))),
-        ("no_names.npz", "no-joint-names", npz(time=TIME, q=Q)),
-        ("no_time.npz", "no-time", npz(q=Q, joint_names=names)),
         ("objects.npz", "pickle", but(q=Q.astype(object))),
         ("complex.npz", "not-a-number", but(q=Q.astype(complex))),
         ("booleans.npz", "not-a-number", but(q=Q > 0)),
         ("text_array.npz", "not-a-number", but(q=Q.astype(str))),
         ("transposed.npz", "note", but(q=Q.T)),
         ("flat.npz", "shape", but(q=Q[:, 0])),
-        ("fewer_names.npz", "shape", but(joint_names=names[:2])),
         ("longer_u.npz", "shape", but(u=U[:-1])),
         ("empty_arrays.npz", "too-short", npz(time=TIME[:0], q=Q[:0], joint_names=names)),
-        ("other_joints.npz", "missing-joint", but(joint_names=np.array(["a", "b", "c"]))),
         ("bomb.npz", "bomb", members(method=zipfile.ZIP_DEFLATED, time=npy(np.zeros(4_000_000)), q=zeros)),
         ("header_asks_for_more.npz", "damaged", members(time=npy(TIME), q=larger)),
         ("header_is_code.npz", "damaged", members(time=npy(TIME), q=q.replace(b": (60, 3)", b": exit(9)"))),
-        ("same_array_twice.npz", "duplicate-column", doubled_archive),
+        ("same_array_twice.npz", "duplicate-column", archive_of([("time.npy", npy(TIME)), *[("q.npy", q)] * 2])),
         ("cut_off.npz", "damaged", spoilt(npz(**good), lambda b: b[: len(b) // 2])),
         ("flipped_bits.npz", "damaged", spoilt(npz(time=TIME, q=Q, joint_names=names), flipped)),
     ]
@@ -245,19 +214,18 @@ def npy(array: np.ndarray) -> bytes:
     return stream.getvalue()
 
 
-def archive_of(path: Path, members: list[tuple[str, bytes]], method: int = zipfile.ZIP_STORED) -> None:
-    with warnings.catch_warnings(), zipfile.ZipFile(path, "w", method) as archive:
-        warnings.simplefilter("ignore", UserWarning)  # a name that comes twice is the point of one case
-        for name, content in members:
-            archive.writestr(name, content)
+def archive_of(members: list[tuple[str, bytes]], method: int = zipfile.ZIP_STORED) -> Write:
+    def write(path: Path) -> None:
+        with warnings.catch_warnings(), zipfile.ZipFile(path, "w", method) as archive:
+            warnings.simplefilter("ignore", UserWarning)  # a name that comes twice is the point of one case
+            for name, content in members:
+                archive.writestr(name, content)
+
+    return write
 
 
 def arrays_of(method: int = zipfile.ZIP_STORED, **members: bytes) -> Write:
-    return lambda path: archive_of(path, [(f"{name}.npy", content) for name, content in members.items()], method)
-
-
-def doubled_archive(path: Path) -> None:
-    archive_of(path, [("time.npy", npy(TIME)), ("q.npy", npy(Q)), ("q.npy", npy(Q))])
+    return archive_of([(f"{name}.npy", content) for name, content in members.items()], method)
 
 
 def spoilt(write: Write, spoil: Callable[[bytes], bytes]) -> Write:
@@ -300,17 +268,10 @@ def stub_cases() -> list[tuple]:
         ("ros2_no_storage", "damaged", folder({"metadata.yaml": "a: [1"})),
         ("empty_folder", "no-recordings", folder({})),
         ("folder_of_notes", "no-recordings", folder({"README.md": "hello there", "x.json": "{}"})),
-        ("two_kinds", "mixed-folder", two_kinds),
         ("one_bad_in_folder", "ragged", folder({"a.csv": GOOD, "b.csv": GOOD[:-14] + "\n"})),
         ("folder_with_readme", "note", folder({"a.csv": GOOD, "README.md": "hello there"})),
-        ("folder", "accept", folder({"demo_1.csv": GOOD, "demo_10.csv": GOOD, "demo_2.csv": GOOD})),
         ("not_there.csv", "missing-file", lambda path: None),
     ]
-
-
-def two_kinds(path: Path) -> None:
-    folder({"a.csv": GOOD})(path)
-    npz(time=TIME, q=Q, joint_names=np.array(JOINTS))(path / "b.npz")
 
 
 def claim_cases() -> list[tuple]:
@@ -355,5 +316,5 @@ def parquet_bomb(path: Path) -> None:
     pq.write_table(pa.table({"observation.state": state, "timestamp": index, "episode_index": index}), path)
 
 
-CHAPTERS = (text_cases, number_cases, other_kind_cases, archive_cases, stub_cases, claim_cases)
-CASES = [Case(*row) for chapter in CHAPTERS for row in chapter()]
+CHAPTERS = (TEXT, NUMBERS, other_kind_cases(), archive_cases(), stub_cases(), claim_cases())
+CASES = [Case(*row) for chapter in CHAPTERS for row in chapter]

@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-import scipy.io
 from recording_corpus import JOINTS, TIME, Q, U
 
 for _module in ("h5py", "pyarrow", "rosbags"):
@@ -31,20 +30,22 @@ def one(name: str, write: Callable[[Path], Any]) -> Build:
     return lambda folder: (write(folder / name), folder / name)[1]
 
 
-def table(header: str, *parts: Any, name: str = "a.csv") -> Build:
-    """Text, all digits; a part is one column or, of shape (T, n), n of them."""
+def rows_of(*parts: Any, mark: str = ",") -> str:
+    """Return text with all digits; a part is one column or, of shape (T, n), n of them."""
     each = [c for x in parts for c in (x.T if isinstance(x, np.ndarray) and x.ndim == 2 else [x])]
     lines = zip(*(c.tolist() if isinstance(c, np.ndarray) else c for c in each), strict=True)
-    content = "".join(",".join(map(str, line)) + "\n" for line in lines)
-    return one(name, lambda path: path.write_text(f"{header}\n{content}", encoding="utf-8", newline=""))
+    return "".join(mark.join(map(str, line)) + "\n" for line in lines)
 
 
-def archive(name: str = "a.npz", **arrays: Any) -> Build:
-    """An archive, or a MATLAB file, of these arrays beside or in place of the good ones; None leaves one out."""
-    if name.endswith(".mat"):
-        return one(name, lambda path: scipy.io.savemat(path, arrays))
+def table(header: str, *parts: Any, name: str = "a.csv") -> Build:
+    content = f"{header}\n{rows_of(*parts)}"
+    return one(name, lambda path: path.write_text(content, encoding="utf-8", newline=""))
+
+
+def archive(**arrays: Any) -> Build:
+    """Write an archive of the good arrays, with these added or replaced; None leaves one out."""
     full = {"time": TIME, "q": Q, "u": U, "joint_names": np.array(JOINTS), **arrays}
-    return one(name, lambda path: np.savez(path, **{k: v for k, v in full.items() if v is not None}))
+    return one("a.npz", lambda path: np.savez(path, **{k: v for k, v in full.items() if v is not None}))
 
 
 # ---- LeRobot ---------------------------------------------------------------------------------------------------------
@@ -97,14 +98,14 @@ def lerobot(*tables: pa.Table, names: Any = JOINTS, described: Any = None) -> Bu
     return lambda folder: dataset(folder / "set", info(names, "v3.0") if described is None else described, files)
 
 
-def version_2(root: Path, names: Any = JOINTS, scale: float = 1.0, kind: str = "fixed") -> Path:
+def version_2(root: Path, scale: float = 1.0, kind: str = "fixed") -> Path:
     files = {f"data/chunk-000/episode_{i:06d}.parquet": frames({i: scale * motion(i)}, kind) for i in (0, 1, 2, 10)}
-    return dataset(root, info(names), files)
+    return dataset(root, info(JOINTS), files)
 
 
-def version_3(root: Path, names: Any = JOINTS) -> Path:
+def version_3(root: Path) -> Path:
     tables = frames({0: motion(0), 1: motion(1, 50), 2: motion(2)[:30]}), frames({3: motion(3)})
-    return lerobot(*tables, names={"motors": names})(root.parent).rename(root)
+    return lerobot(*tables, names={"motors": JOINTS})(root.parent).rename(root)
 
 
 # ---- robomimic -------------------------------------------------------------------------------------------------------
@@ -176,10 +177,8 @@ def write_bag(path: Path, kind: str, messages: Sequence[Message], **options: Any
 def all_in_one(names: Sequence[str] = JOINTS, q: Any = Q, u: Any = U, topic: str = "/joint_states") -> list[Message]:
     """Messages with all joints in some order, received 3 ms after they were stamped."""
     order = [JOINTS.index(n) for n in names]
-    return [
-        (topic, START + int(s) + 3_000_000, (START + int(s), names, a[order], () if u is None else b[order]))
-        for s, a, b in zip(STEPS, q, U if u is None else u, strict=True)
-    ]
+    rows = zip((START + int(s) for s in STEPS), q, U, strict=True)
+    return [(topic, at + 3_000_000, (at, names, a[order], () if u is None else b[order])) for at, a, b in rows]
 
 
 def some(topic: str, joints: Sequence[int], q: Any = Q, late: int = 0, ahead: int = 0) -> list:

@@ -16,49 +16,26 @@ Said = dict[str, Any] | None
 Script = Generator[Said, None, None]
 
 
-class Unsteady:
-    """Slow waves about where a hand is meant to be, a new set for each.
-
-    Args:
-        rng: Of sizes, speeds and phases.
-        size: Number of directions.
-        astray: Standard deviation.
-    """
-
-    def __init__(self, rng: np.random.Generator, size: int, astray: float):
-        waves = rng.uniform(0.5, 1.5, (size, 4))
-        self._waves = waves * astray / np.sqrt(0.5 * np.sum(waves**2, axis=1, keepdims=True))
-        self._speed = 2.0 * np.pi * rng.uniform(0.3, 1.2, (size, 4))
-        self._phase = rng.uniform(0.0, 2.0 * np.pi, (size, 4))
-
-    def at(self, time: float) -> np.ndarray:
-        """How far the hand is from where it is meant to be."""
-        return np.sum(self._waves * np.sin(self._speed * time + self._phase), axis=1)
-
-
 class Person:
-    """Sees what the session shows, and says what its script says, once a period; takes the place of server and page."""
+    """Receives what the session shows, and sends the next message of its script once a period, like server and page."""
 
     def __init__(self, seed: int):
         self.rng = np.random.default_rng(seed)
         self.pose: dict[str, Any] = {}
         self.slots: dict[str, Any] = {}
         self.files: dict[str, Path] = {}
-        self.said: list[str] = []
         self.script: Iterator[Said] = iter(())
         self.session: Any = None
 
     @property
     def state(self) -> dict[str, Any]:
-        """The newest state."""
+        """The latest state."""
         return self.slots["state"]
 
     def put(self, message: Callable[[], str], slot: str = "message") -> None:
-        """What the page would be shown."""
+        """Receive a message for the page."""
         content = json.loads(message())
         self.slots[slot] = content
-        if slot == "state" and content["said"] not in self.said[-1:]:
-            self.said.append(content["said"])
         if slot == "pose" and self.session is not None:
             self.pose = content
             said = next(self.script, {"end": True})
@@ -66,7 +43,7 @@ class Person:
                 self.session.hear(said if "end" in said else {"page": "person", "said": said})
 
     def offer(self, files: Any) -> None:
-        """Files to take home."""
+        """Receive the files that can be downloaded."""
         self.files = dict(files)
 
     # ---- scripts ----------------------------------------------------------------------------------------------------
@@ -77,14 +54,14 @@ class Person:
             yield None
 
     def wait_for(self, done: Callable[[], bool], seconds: float = 60.0) -> Script:
-        """Do nothing until something is so, at most so long on the arm's clock."""
+        """Do nothing until a condition holds, at most so many seconds on the arm's clock."""
         for _ in range(round(seconds / PERIOD)):
             if done():
                 return
             if self.state["progress"] is not None:
                 time.sleep(PERIOD)  # the other process has the processor
             yield None
-        raise AssertionError(f"it did not come to pass; the page said {self.said[-3:]}")
+        raise AssertionError(f"the condition never held; the page says {self.state['said']}")
 
     def press(self, **said: Any) -> Script:
         """Press a button, and wait until it was heard and shown."""
@@ -96,22 +73,27 @@ class Person:
         n = round(seconds / PERIOD)
         for k in range(n):
             self._time += PERIOD
-            to = path((k + 1) / n) + self._unsteady.at(self._time)
+            astray = np.sum(self._waves * np.sin(self._speed * self._time + self._phase), axis=1)
+            to = path((k + 1) / n) + astray
             yield pull(to, None if turn is None else turn((k + 1) / n).tolist(), k)
 
     def other_hand(self) -> None:
-        """Be unsteady in another way from now on."""
-        self._unsteady, self._time = Unsteady(self.rng, 3, ASTRAY), 0.0
+        """Be unsteady in another way from now on: slow waves about where the hand is meant to be."""
+        waves = self.rng.uniform(0.5, 1.5, (3, 4))
+        self._waves = waves * ASTRAY / np.sqrt(0.5 * np.sum(waves**2, axis=1, keepdims=True))
+        self._speed = 2.0 * np.pi * self.rng.uniform(0.3, 1.2, (3, 4))
+        self._phase = self.rng.uniform(0.0, 2.0 * np.pi, (3, 4))
+        self._time = 0.0
 
     def hold(self, seconds: float) -> Script:
-        """Draw the hand to the first handle until the gripper holds it, at most so long."""
+        """Pull the hand to the first handle until the gripper holds it, at most so many seconds."""
         for _ in range(round(seconds / PERIOD)):
             if self.session.arm.held:
                 return
             yield pull(self.session.arm.handle_place)
 
     def demonstrate(self) -> Script:
-        """Record one motion: to the handle, all of its way and back, away again; pauses between."""
+        """Record one motion: to the handle, along its whole travel and back, and away, with pauses."""
         session, rng = self.session, self.rng
         arm = session.arm
         self.other_hand()
@@ -160,11 +142,11 @@ class Person:
 
 
 def pull(to: np.ndarray, turn: list[float] | None = None, seq: int = 0) -> dict[str, Any]:
-    """What is posted for a pull of the tip."""
+    """Return the message for a pull of the tip."""
     return {"do": "pull", "to": to.tolist(), "turn": turn, "seq": seq}
 
 
 def smooth(share: float) -> float:
-    """Share of the way [0, 1] at a share of the time, slow at both ends."""
+    """Return the share of the path [0, 1] at a share of the time, slow at both ends."""
     x = min(max(share, 0.0), 1.0)
     return x * x * (3.0 - 2.0 * x)

@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import json
 import os
+import shlex
+import shutil
 import subprocess
 import sys
 import unicodedata
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
 import pytest
+from recording_corpus import HEADER
+from recording_formats import table
 from test_playback import data_in
 
 from manip_learn.cli import main
@@ -52,13 +55,10 @@ def answer(run):
 
 @pytest.fixture(scope="module")
 def learnt(tmp_path_factory):
-    """A constraint file and a rollout file of the shipped drawer."""
-    folder = tmp_path_factory.mktemp("learnt")
-    constraint, rollout = folder / "drawer.json", folder / "run.npz"
+    """The constraint file of the shipped drawer."""
+    constraint = tmp_path_factory.mktemp("learnt") / "drawer.json"
     assert main(["learn", "sawyer", *DRAWER, *FRAME, "--out", str(constraint), "--json"]) == 0
-    control = ["control", "sawyer", str(constraint), "--start", "0,-1,0,1.5,0,1,0", "--target", "0.6,0.27,0.35"]
-    assert main([*control, "--duration", "3", "--out", str(rollout), "--json"]) == 0
-    return constraint, rollout
+    return constraint
 
 
 def run_program(*words, **options):
@@ -69,15 +69,15 @@ def run_program(*words, **options):
 def test_learn_answers_with_one_json_document(answer):
     """All keys of the contract are there, the drawer's two held rows are found, and nothing else is printed."""
     result = answer("learn", "sawyer", *DRAWER, *FRAME)
-    keys = "selection n_constraints axes reference free_directions estimator gap held_out_residual uncertainty_deg"
-    assert {*keys.split(), "warnings"} <= set(result)
+    keys = "selection axes free_directions gap held_out_residual uncertainty_deg warnings"
+    assert {*keys.split()} <= set(result)
     assert (result["n_constraints"], result["reference"], result["estimator"]) == (2, "world", "null-space")
     (free,) = result["free_directions"]
     truth = [np.cos(np.radians(25)), np.sin(np.radians(25)), 0.0]
     assert np.degrees(np.arccos(min(1.0, abs(np.dot(free, truth))))) < 0.1
 
 
-def test_the_next_line_does_the_task_when_it_is_pasted(run, tmp_path):
+def test_the_next_line_does_the_task_when_it_is_pasted(run):
     """Robot, file and options as they were given, quoted for a shell; without --out the line says where it goes."""
     arm = Path("my arm") / "the sawyer.urdf.xacro"
     arm.parent.mkdir()
@@ -88,97 +88,63 @@ def test_the_next_line_does_the_task_when_it_is_pasted(run, tmp_path):
     given = ("--package-dir", "my arm", "--xacro-arg", "called=light pink")
     code, out, err = run("learn", arm, *DRAWER, *FRAME, *given)
     assert (code, err) == (0, "")
-    shell = tmp_path / "bin" / "manip-learn"
-    shell.parent.mkdir()
-    shell.write_text(f'#!/bin/sh\nexec "{sys.executable}" -m manip_learn "$@"\n', encoding="utf-8")
-    shell.chmod(0o755)
-    environment = os.environ | {"PATH": f"{shell.parent}{os.pathsep}{os.environ['PATH']}"}
-
-    def paste(said: str) -> str:
-        (line,) = (line.removeprefix("next: ") for line in said.splitlines() if line.startswith("next: "))
-        done = run_program("sh", "-c", line, env=environment)
-        assert (done.returncode, done.stderr) == (0, ""), line
-        return done.stdout
-
-    again = paste(out)
-    assert "written: " in again
-    assert "1 way done as shown" in paste(again) and Path("run.html").exists()
+    for words in ("written: ", "1 way done as shown"):
+        (line,) = (line for line in out.splitlines() if line.startswith("next: manip-learn "))
+        code, out, err = run(*shlex.split(line)[2:])
+        assert (code, err) == (0, "") and words in out, line
+    assert Path("run.html").exists()
 
 
 def test_a_weak_task_has_the_time_that_it_takes(answer, learnt):
     """To come within half the tolerance: e^(-gain t) of the way is left; the keys of the contract are there."""
-    control = ("control", "sawyer", learnt[0], "--start", "0 -1 0 1.5 0 1 0", "--target", "0.6,0.27,0.35")
+    control = ("control", "sawyer", learnt, "--start", "0 -1 0 1.5 0 1 0", "--target", "0.6,0.27,0.35")
     slow = answer(*control, "--task-gain", "0.5", "--out", "slow.npz")
     error = Rollout.load("slow.npz").task_error[0]
     assert slow["duration"] == pytest.approx(np.log(2.0 * error / 0.01) / 0.5, abs=0.01)
-    assert slow["reached"] is True and slow["final_error"] < 0.01 and slow["max_velocity"] > 0.0
-    assert 0.0 < slow["min_manipulability"] <= slow["mean_manipulability"]
+    assert slow["reached"] is True and slow["final_error"] < 0.01
+    assert 0.0 < slow["min_manipulability"] <= slow["mean_manipulability"] and slow["max_velocity"] > 0.0
     assert sum(slow["status_counts"].values()) == round(slow["duration"] / 0.01) + 1
 
 
 def test_replay_shows_what_was_learnt(run, answer, learnt):
     """With the constraint file, the page has the phases and the mechanism that were saved with the constraint."""
-    content = json.loads(learnt[0].read_text(encoding="utf-8"))
+    content = json.loads(learnt.read_text(encoding="utf-8"))
     name = Path(DRAWER[0]).name
     phases = [[name, 0.2, 1.0, None], [name, 1.0, 2.5, 0], ["not shown", 0.0, 1.0, 0]]
-    line = {"type": "line", "axis": [1, 0, 0], "point": [0.6, 0.2, 0.3], "sentence": "a line along (1.00, 0.00, 0.00)"}
-    content["provenance"] |= {"phases": phases, "mechanism": line}
+    content["provenance"] |= {"phases": phases}
     Path("held.json").write_text(json.dumps(content), encoding="utf-8")
     answer("replay", "sawyer", DRAWER[0], "--constraint", "held.json", "--html", "a.html")
     data = data_in(Path("a.html"))
-    assert data["robot"]["tip"] == "right_gripper_tip"
     assert data["rollouts"][0]["phases"] == [[0.2, 1.0, -1], [1.0, 2.5, 0]]
     assert [k["label"] for k in data["phaseKinds"]] == ["constraint 1: line", "free motion"]
-    assert data["mechanisms"][0]["sentence"] == line["sentence"]
+    assert data["mechanisms"][0]["sentence"] == content["provenance"]["mechanism"]["sentence"]
     code, _, err = run("replay", "sawyer", DRAWER[1], "--constraint", "held.json", "--html", "b.html")
     assert code == 2 and name in err
 
 
-def test_learn_writes_a_replay_of_the_recordings(answer):
-    """`--html` plays every recording, with the phases that are in the answer."""
-    result = answer("learn", "panda", DATA / "panda_drawer_whole", "--frame", "panda_hand_tcp", "--html", "a.html")
-    data = data_in(Path("a.html"))
-    assert result["html"] == str(Path("a.html").resolve())
-    shown = {r["name"]: r["phases"] for r in data["rollouts"]}
-    assert len(shown) == 6
-    for name, bands in shown.items():
-        told = [p for p in result["phases"] if p["trajectory"] == name]
-        expected = [[p["start"], p["end"], -1 if p["constraint"] is None else p["constraint"]] for p in told]
-        np.testing.assert_allclose(bands, expected)
-    assert data["mechanisms"][0]["type"] == "line" and data["mechanisms"][0]["lines"]
-
-
 def test_unrecorded_fingers_are_locked(answer):
-    """A Panda's recordings without its fingers are enough, and `control` knows the same seven joints again."""
-    pytest.importorskip("pinocchio")
-    rows = np.cumsum(np.random.default_rng(0).uniform(0.5, 1.0, (60, 7)) * 0.004, axis=0)
-    table = pd.DataFrame(rows + [0.0, -0.5, 0.0, -2.0, 0.0, 1.5, 0.7], columns=[f"panda_joint{i}" for i in range(1, 8)])
-    table.assign(time=np.arange(60) * 0.01).to_csv("a.csv", index=False)
-    result = answer("learn", "panda", "a.csv", "--frame", "panda_hand_tcp", "--constraints", "1", "--out", "c.json")
+    """Recordings of a Panda without its fingers suffice, `control` finds the same seven joints; `--html` plays all."""
+    written = ("--out", "c.json", "--html", "a.html")
+    result = answer("learn", "panda", DATA / "panda_drawer_whole", "--frame", "panda_hand_tcp", *written)
     assert any("panda_finger_joint1" in note and "locked" in note for note in result["notes"])
+    assert len(data_in(Path("a.html"))["rollouts"]) == 6 and result["html"] == str(Path("a.html").resolve())
     answer("control", "panda", "c.json", "--duration", "0.1")
 
 
 def test_robots_are_listed_and_looked_at(run, answer, monkeypatch):
-    """The names that can be given, with their joints; frames, limits and warnings of one on a screen of 80 columns, the
-    joints in the order of files, the tip with its flag, and what to do next; and the version.
+    """`robots` lists the names and their joints; `inspect` prints the likely tip with its flag, and the next command,
+    within 80 columns; `--version` prints the version.
     """
     monkeypatch.setenv("COLUMNS", "80")
     robots = {r["name"]: r["joints"] for r in answer("robots")["robots"]}
     assert robots["planar3"] == ["joint1", "joint2", "joint3"]
-    assert list(robots)[:5] == ["fr3", "planar3", "sawyer", "ur10e", "ur5e"]
     code, out, err = run("robots")
     assert code == 0 and "sawyer (7)" in " ".join(out.split()) and "manip_learn[descriptions]" in out
-    for robot, lines, tip in (("sawyer", 24, "right_gripper_tip"), ("panda", 30, "panda_hand_tcp")):
-        summary, (code, out, _) = answer("inspect", robot), run("inspect", robot)
-        said, words = out.splitlines(), " ".join(out.split())
-        assert code == 0 and len(said) < lines
-        assert all(len(line) <= 80 for line in said if not line.startswith("file: "))
-        joints = [line.split()[0] for line in said if line.rstrip().endswith(("rad", " m"))]
-        assert joints == [j["name"] for j in summary["joints"]] and tip in summary["frames"]
-        assert f"likely tips {tip} (--frame {tip})" in words and "agrees with yourdfpy" in words
-        assert said[-1] == f"next: manip-learn learn {robot} RECORDINGS --frame {tip}"
-    summary = answer("inspect", "sawyer")
+    summary, (code, out, _), tip = answer("inspect", "sawyer"), run("inspect", "sawyer"), FRAME[1]
+    lines = out.splitlines()
+    assert code == 0 and all(len(line) <= 80 for line in lines if not line.startswith("file: "))
+    assert tip in summary["frames"] and f"likely tips {tip} (--frame {tip})" in " ".join(out.split())
+    assert lines[-1] == f"next: manip-learn learn sawyer RECORDINGS --frame {tip}"
     assert (summary["name"], summary["nq"], summary["nv"], summary["warnings"]) == ("sawyer", 7, 7, [])
     code, out, err = run("--version")
     assert (code, err) == (0, "") and out.startswith("manip-learn ")
@@ -198,12 +164,10 @@ def test_our_own_failure_is_no_traceback(run, monkeypatch):
 def test_a_refusal_to_learn_holds_its_evidence(run):
     """The gaps and the advice are there for a program: free motion shows no constraint."""
     rng = np.random.default_rng(0)
-    time = np.arange(200) * 0.01
     for i in range(3):
         q = np.cumsum(rng.normal(0, 0.004, (200, 3)), axis=0) + [0.3, 0.6, 0.9]
-        table = pd.DataFrame(np.column_stack([time, q]), columns=["time", "joint1", "joint2", "joint3"])
-        table.to_csv(f"free_{i}.csv", index=False)
-    code, out, err = run("learn", "planar3", "free_0.csv", "free_1.csv", "free_2.csv", "--axes", "x y", "--json")
+        table(HEADER, np.arange(200) * 0.01, q, name=f"free_{i}.csv")(Path())
+    code, out, err = run("learn", "planar3", ".", "--axes", "x y", "--json")
     error = json.loads(out)["error"]
     assert code == 2 and error["code"] in ("weak-gap", "no-evidence")
     assert set(error["gaps"]) == {"1", "2"} and all(gap > 0 for gap in error["gaps"].values())
@@ -227,7 +191,7 @@ INPUTS = {"robot": "arm.urdf", "driver": "driver.py", "constraint": "held.json",
     ("recordings", "rollouts", "files"), "rec_01.csv"
 )
 REPLACING = [
-    pytest.param(name, parameter.opts[0], read, id=f"{name} {parameter.opts[0]} {read}")
+    (name, parameter.opts[0], read)
     for name, command in sorted(program.commands.items())
     for parameter in command.params
     if parameter.name in WRITTEN
@@ -250,30 +214,14 @@ def test_no_output_replaces_an_input(run, tmp_path, name, flag, read):
             line += [spec] if parameter.param_type_name == "argument" else [parameter.opts[0], spec]
     Path("link").symlink_to(source)
     Path("hard").hardlink_to(source)
-    spellings = [(line, out) for out in (source, f"folder/../{source}", str(tmp_path / source), "link", "hard")]
-    if source == "rec_01.csv":
-        spellings.append((["folder" if word == source else word for word in line], "folder/rec_02.csv"))
-    if source == "arm.urdf":  # its mesh
-        spellings.append((line, "folder/base.stl"))
+    outputs = [source, f"folder/../{source}", str(tmp_path / source), "link", "hard"]
+    outputs += {"rec_01.csv": ["folder/rec_02.csv"], "arm.urdf": ["folder/base.stl"]}.get(source, [])
     before = {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
-    for words, out in spellings:
+    for out in outputs:
+        words = ["folder" if word == source and out == "folder/rec_02.csv" else word for word in line]
         code, said, err = run(*words, flag, out)
         assert (code, said, err.count("\n")) == (2, "", 1) and "would replace an input" in err, (words, out, err)
     assert {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()} == before
-
-
-def test_help_has_headings(run, monkeypatch):
-    """What learning, reading, the robot and the output have to offer, each under its heading, within the terminal; a
-    beginner's options first, the others by their names alone.
-    """
-    monkeypatch.setenv("COLUMNS", "60")
-    (_, short, _), (code, out, _) = run("learn", "--help"), run("learn", "--help-all")
-    assert code == 0 and max(map(len, (short + out).splitlines())) <= 60
-    first, others = short.split("--help-all explains also")
-    assert "  --frame " in first and "--lock" not in first and "--lock," in others and "--frame" not in others
-    assert others.split() and all(f"  {flag} " in out for flag in others.replace(",", "").split())
-    headings = [line for line in out.splitlines() if line.endswith(":") and line[0] != " "]
-    assert headings == ["Arguments:", "Options:", "Robot:", "Reading recordings:", "Output:"]
 
 
 EXAMPLES = {name: command.callback.example.split()[1:] for name, command in program.commands.items()}
@@ -302,31 +250,19 @@ def test_every_help_begins_with_an_example_that_works(run, monkeypatch):
         assert code == 0, (name, err)
 
 
-def test_a_rollout_is_shown_by_its_name_alone(run, learnt):
-    """The file knows its robot, and a constraint may be shown with it."""
-    for more in ([], ["--constraint", learnt[0]], ["--tip", "right_hand"]):
-        assert run("replay", learnt[1], *more)[0] == 0, more
-        assert data_in(Path("replay.html"))["robot"]["tip"] == (more[1] if "--tip" in more else FRAME[1])
-
-
 def test_exported_files_are_named_after_their_recordings(run, answer):
     """Numbered as they are read, with as many digits as the last one has; signs that a shell minds become a line; none
     replaces a recording.
     """
-    text = (DATA / "planar3_reach" / "demo_01.csv").read_text(encoding="utf-8")
-    samples = len(text.splitlines()) - 1
     names = [f"my demo ({k}) of {'x' * 90}.csv" for k in range(10, 21)] + ["last.1.csv"]
     for name in names:
-        Path(name).write_text(text, encoding="utf-8")
+        shutil.copy(DATA / "planar3_reach" / "demo_01.csv", name)
     result = answer("export", "planar3", *names, "--to", "csv", "--out", "many")
     expected = [f"{k:02d}_{f'my_demo_{k + 10}_of_' + 'x' * 90:.80}.csv" for k in range(11)] + ["11_last.1.csv"]
     assert [Path(f).name for f in result["files"]] == sorted(p.name for p in Path("many").iterdir()) == expected
-    assert (result["format"], result["trajectories"], result["samples"]) == ("csv", 12, 12 * samples)
-    for words, shown in (("one --to csv", "one/last.1.csv"), ("one.CSV", "one.CSV")):
-        code, out, _ = run("export", "planar3", "last.1.csv", "--out", *words.split())
-        assert code == 0 and Path(shown).is_file() and f"1 trajectory, {samples} samples" in out
-    code, _, err = run("export", "planar3", "one/last.1.csv", "--to", "csv", "--out", "one")
-    assert code == 2 and "would replace an input" in err
+    assert run("export", "planar3", "last.1.csv", "--out", "one.CSV")[0] == 0 and Path("one.CSV").is_file()
+    code, _, err = run("export", "planar3", "many/11_last.1.csv", "--to", "csv", "--out", "many")
+    assert code == 2 and "many" in err
 
 
 EVIL = "\x1b[31m\x9b2J\u202e"
@@ -339,22 +275,22 @@ def test_no_name_controls_the_terminal(run, tmp_path):
     planar3 = (ROBOTS / "planar3.urdf").read_text(encoding="utf-8")
     Path(f"arm{EVIL}.urdf").write_text(planar3, encoding="utf-8")
     Path("evil.urdf").write_text(planar3.replace('"link2"', '"link2\x9b31m\u202e"'), encoding="utf-8")
-    shown = Path(f"shown{EVIL}")
-    shown.mkdir()
+    (shown := Path(f"shown{EVIL}")).mkdir()
     for k, file in enumerate(sorted((DATA / "planar3_reach").glob("*.csv"))[:6]):
-        lines = file.read_text(encoding="utf-8").splitlines()
-        lines = [f"{lines[0]},force{EVIL}", *(f"{line},0" for line in lines[1:])]
-        (shown / f"{k}{EVIL}\n.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
+        header, rows = file.read_text(encoding="utf-8").split("\n", 1)
+        content = f"{header},force{EVIL}\n" + rows.replace("\n", ",0\n")
+        (shown / f"{k}{EVIL}\n.csv").write_text(content, encoding="utf-8")
     Path(f"odd{EVIL}.csv").write_text(f"time,joint1,joint2{EVIL},joint3\n0,0,0,0\n", encoding="utf-8")
     shown = (shown, "--ignore-column", f"force{EVIL}")
     arm, tip, held = f"arm{EVIL}.urdf", ("--frame", "tip"), f"held{EVIL}.json"
-    how = ("--axes", "planar", "--reference", "world")
     commands = [
-        *((code, "inspect", file) for code, file in ((0, arm), (2, "evil.urdf"))),
-        (0, "learn", arm, *shown, *tip, *how, "--out", held),
+        (0, "inspect", arm),
+        (2, "inspect", "evil.urdf"),
+        (0, "learn", arm, *shown, *tip, "--axes", "planar", "--reference", "world", "--out", held),
         (2, "learn", arm, f"odd{EVIL}.csv", *tip),
-        *((2, "learn", arm, *shown, *tip, flag, EVIL + more) for flag, more in (("--lock", ""), ("--rename", "=a"))),
-        *((2, word, arm, *more) for word, more in ((f"lern{EVIL}", ()), ("inspect", (f"--x{EVIL}",)))),
+        (2, "learn", arm, *shown, *tip, "--rename", f"{EVIL}=a"),
+        (2, f"lern{EVIL}", arm),
+        (2, "inspect", arm, f"--x{EVIL}"),
         (0, "control", arm, held, "--target", "0,0.5,0", "--duration", "1", "--out", f"run{EVIL}.csv"),
         (2, "control", arm, held, "--policy", EVIL),
         (0, "replay", arm, f"run{EVIL}.csv", "--constraint", held, "--html", f"p{EVIL}.html"),

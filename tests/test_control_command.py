@@ -106,7 +106,7 @@ def test_a_target_is_the_point(run, file):
     for options, begins, says in (
         (along, "at the target", ""),
         ([*along, *rows], "on the line, 0.1 m from the point", "--rows held leaves"),
-        (across, "", "the hand moved 0.05 along what the recordings show to be blocked"),
+        (across, "", "the hand moved 0.05 along directions that the recordings show to be blocked"),
     ):
         _code, out, _err = run("control", *file("drawer"), *options)
         assert out.startswith(begins) and says in out and ("blocked" in out) == (options is across)

@@ -15,7 +15,7 @@ from manip_learn.errors import NotIdentifiableError
 from manip_learn.experiments.paper_setup import Setup, demonstrate, null_parts, planar_features
 from manip_learn.experiments.table import fit_row_by_row
 from manip_learn.learning import imposed
-from manip_learn.learning.imposed import Data, PolicyFit, learn_imposed, residual_and_jacobian, separated
+from manip_learn.learning.imposed import Data, PolicyFit, learn_imposed, residual_and_jacobian, separate_null_motion
 from manip_learn.learning.table import Settings, Table, View
 from manip_learn.linalg import complement_rows, orthonormal_rows, row_space_angle
 
@@ -154,7 +154,7 @@ def test_the_papers_route_finds_the_rows():
     setup = Setup("y rz")
     demos = shown(setup, 20191103)
     view, w = View(planar_features(), Table(list(demos))), null_parts(planar_features(), demos, setup.selection)
-    found = separated(view, 0)
+    found = separate_null_motion(view, 0)
     assert np.sqrt(np.mean((found - w) ** 2) / np.mean(w**2)) < 1e-3
     learner = fit(demos, estimator="separate", velocities="recorded")
     assert learner.report_.policy_residuals["rbf96"] < 1e-6 and learner.report_.gap > 100.0

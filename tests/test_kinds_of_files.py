@@ -9,9 +9,10 @@ from typing import Any
 
 import h5py
 import numpy as np
-import pandas as pd
 import pytest
 import yaml
+from recording_corpus import text
+from recording_formats import rows_of
 
 import manip_learn as ml
 
@@ -26,7 +27,7 @@ NS = np.round(PART * 1e9)
 GIVEN = {"joint_names": N}
 NAMED = [[name] * len(T) for name in N]  # columns that hold the names of the joints
 
-Write = Callable[[Path], Any]  # writes a file, or returns what is given instead of one
+Write = Callable[[Path], Any]  # writes a file
 # how it is written, words of the refusal ("" if it is read), options that the refusal advises, options
 Kind = tuple[Write, str, dict[str, Any] | None, dict[str, Any]]
 
@@ -38,20 +39,7 @@ def kind(write: Write, refusal: str = "", advised: dict[str, Any] | None = None,
 
 def table(header: list[str], *columns: Any, before: str = "", mark: str = ",") -> Write:
     """Return how to write a table; columns of shape (T, n) are n of them."""
-    each = [c for x in columns for c in (x.T if isinstance(x, np.ndarray) and x.ndim == 2 else [x])]
-    lines = zip(*(c.tolist() if isinstance(c, np.ndarray) else c for c in each), strict=True)
-    written = [[f"{x:.10g}" if isinstance(x, float) else str(x) for x in line] for line in lines]
-    return text(before + "".join(mark.join(line) + "\n" for line in ([header] if header else []) + written))
-
-
-def text(content: str) -> Write:
-    """Return how to write a text."""
-    return lambda path: path.write_text(content)
-
-
-def dumped(content: Any) -> Write:
-    """Return how to write JSON."""
-    return text(json.dumps(content))
+    return text(before + (mark.join(header) + "\n" if header else "") + rows_of(*columns, mark=mark))
 
 
 def hdf5(**arrays: Any) -> Write:
@@ -65,12 +53,12 @@ def hdf5(**arrays: Any) -> Write:
     return write
 
 
-def npz(save: Callable[..., Any] = np.savez, **arrays: Any) -> Write:
+def npz(**arrays: Any) -> Write:
     """Return how to write an archive."""
 
     def write(path: Path) -> None:
         with path.open("wb") as file:
-            save(file, **arrays)
+            np.savez(file, **arrays)
 
     return write
 
@@ -92,7 +80,7 @@ def each(prefix: str, n: int = 7) -> list[str]:
     return [f"{prefix}{k}" for k in range(n)]
 
 
-FRAME = dict(zip(N, Q.T, strict=True))  # columns of a data frame
+COLUMNS = {"timestamp": T.tolist(), "tcp_x": T.tolist()} | dict(zip(N, Q.T.tolist(), strict=True))
 DURATIONS = ({"secs": int(t), "nsecs": round((t % 1) * 1e9)} for t in T.tolist())
 POINTS = [{"positions": q, "velocities": [], "time_from_start": t} for t, q in zip(DURATIONS, Q.tolist(), strict=True)]
 WIDE = 0.8 * np.sin(T[:, None] * np.linspace(1.0, 2.5, 7) + np.arange(7))
@@ -103,6 +91,7 @@ COPIED = {f"{group}__robot_state__joint_positions": Q for group in ("observation
 COPIED |= {"action__joint_position": OTHER}
 EULER = ["x", "y", "z", "roll", "pitch", "yaw", "gripper"]
 RTDE = ["timestamp", *each("actual_q_"), *each("target_q_"), *each("actual_TCP_pose_", 6)]
+CHANGING = ["time", *each("name"), *each("position")]
 ECHO_P = ["%time", "field.header.seq", *each("field.name"), *each("field.position")]
 MOTORS = [[{"position": np.degrees(p), "velocity": 0.0} for p in q] for q in Q.tolist()]
 ACTUATORS = [{"time": t, "actuators": motors} for t, motors in zip(T.tolist(), MOTORS, strict=True)]
@@ -115,7 +104,6 @@ KINDS: dict[str, Kind] = {
         "span 2.98 and 5.96: leave the wrong one out, ignore_columns=['stamp']",
         {"ignore_columns": ["stamp"]},
     ),
-    "frames without a rate": kind(table(["frame_index", *N], np.arange(150.0), Q), "rate="),
     "stamps (T, 2) in HDF5": kind(hdf5(joint_positions=Q, timestamps=np.column_stack([SEC, NS])), **GIVEN),
     "two arrays of times": kind(npz(t=T, stamp=2 * T, q=Q), "could be the time; choose one with rename={'t'", **GIVEN),
     "a line of units": kind(table(["time", *N], ["s", *T], *(["rad", *q] for q in Q.T))),
@@ -139,7 +127,6 @@ KINDS: dict[str, Kind] = {
         **GIVEN,
     ),
     "HDF5, names in the file": kind(hdf5(q=Q, t=T, joint_names=np.array(N, dtype="S"))),
-    "HDF5, commands alone": kind(hdf5(action__joint_pos=Q, time=T), "only as commands", **GIVEN),
     "HDF5, states copied among commands": kind(hdf5(**COPIED), **GIVEN, rate=50),
     "an archive of three dimensions": kind(npz(t=T, q=Q[None]), **GIVEN),
     "ros2 topic echo": kind(echo(False)),
@@ -148,23 +135,16 @@ KINDS: dict[str, Kind] = {
     "ros2 topic echo --csv": kind(table([], SEC.astype(int), NS.astype(int), ["base"] * 150, *NAMED, Q)),
     "... without names": kind(table([], SEC.astype(int), NS.astype(int), ["base"] * 150, Q), **GIVEN),
     "rostopic echo -p": kind(table(ECHO_P, np.round(STAMPS * 1e9), np.arange(150), *NAMED, Q)),
-    "messages whose joints change": kind(
-        table(["time", *each("name"), *each("position")], T, *np.array([N, N[::-1]] * 75).T.tolist(), Q),
-        "change from row",
-    ),
+    "changing joints": kind(table(CHANGING, T, *np.array([N, N[::-1]] * 75).T.tolist(), Q), "change from row"),
     "PlotJuggler": kind(table(["__time", "/js/header/stamp", *(f"/js/{n}/position" for n in N)], STAMPS, STAMPS, Q)),
     "... in a message": kind(text("\n".join(json.dumps({"js": state(k)}) for k in range(150)))),
-    "JSON, columns beside a pose": kind(
-        dumped({"timestamp": T.tolist(), "tcp_x": T.tolist()} | {n: q.tolist() for n, q in FRAME.items()})
-    ),
-    "JSON, an object for each joint": kind(dumped(ACTUATORS), **GIVEN, degrees=True),
+    "JSON, columns beside a pose": kind(text(json.dumps(COLUMNS))),
+    "JSON, an object for each joint": kind(text(json.dumps(ACTUATORS)), **GIVEN, degrees=True),
     "YAML of a JointTrajectory": kind(text(yaml.safe_dump({"joint_trajectory": {"joint_names": N, "points": POINTS}}))),
     "a pose of angles": kind(table(["time", *EULER], T, Q), "coordinates of a pose"),
-    "numbered": kind(table(["time", *each("q")], T, Q), "q0 as right_j0", {"columns": "q{index}"}),
     "UR's RTDE": kind(
         table(RTDE, T, Q, OTHER, Q[:, :6], mark=" "), "columns='actual_q_{index}'", {"columns": "actual_q_{index}"}
     ),
-    "a frame with times as its index": kind(lambda _: pd.DataFrame(FRAME, index=pd.Index(T, name="time"))),
 }
 
 
@@ -174,15 +154,14 @@ def test_kind(name: str, tmp_path: Path) -> None:
     never names joints falsely.
     """
     write, refusal, advised, options = KINDS[name]
-    written = write(path := tmp_path / "recording")
-    given = written if isinstance(written, pd.DataFrame) else path
+    write(path := tmp_path / "recording")
     if refusal:
         with pytest.raises(ml.ManipLearnError) as caught:
-            ml.load_demonstrations(given, ROBOT, **options)
+            ml.load_demonstrations(path, ROBOT, **options)
         assert refusal in str(caught.value) and "=right_j" not in str(caught.value)
         if advised is None:
             return
-    (demo,) = ml.load_demonstrations(given, ROBOT, **options, **(advised or {}))
+    (demo,) = ml.load_demonstrations(path, ROBOT, **options, **(advised or {}))
     np.testing.assert_allclose(demo.q, Q, rtol=0, atol=1e-6)
     np.testing.assert_allclose(demo.time - demo.time[0], T, rtol=0, atol=2e-6)
 

@@ -18,7 +18,7 @@ from manip_learn.errors import NotIdentifiableError, RecordingError
 from manip_learn.learning import table
 from manip_learn.learning.answer import Answer
 from manip_learn.learning.fit import Motion, RowFit
-from manip_learn.learning.gate import Evidence, recombined
+from manip_learn.learning.gate import Evidence, recombination_test
 from manip_learn.learning.table import Stretch, Table, View
 
 
@@ -59,7 +59,7 @@ def test_what_is_too_little_or_too_odd_to_learn_from(rng):
     """An outlier is 1e4 times as far as the usual; too few different moving samples, one joint, and no motion."""
 
     def said(q: np.ndarray, u: np.ndarray, r: int, asked: int | None = None) -> NotIdentifiableError | None:
-        return table.unusable(Table(quarters(q, u)), r, asked)
+        return table.table_refusal(Table(quarters(q, u)), r, asked)
 
     u, far = rng.standard_normal((2, 40, 4))
     middle = np.median(far, axis=0)
@@ -97,7 +97,7 @@ def test_columns_of_the_fit_are_derivatives():
         off = [replace(t, q=t.q + zeros) for t in moved.view.table.moved]
         shifted = View(moved.view.features, Table(off))
         y = shifted.y @ np.linalg.solve(shifted.W.T, moved.view.W.T)
-        return fit.without_constants(np.einsum("nai,ni->na", fit.root, y @ rows.T)[:, :, None])[:, :, 0]
+        return fit.centre(np.einsum("nai,ni->na", fit.root, y @ rows.T)[:, :, None])[:, :, 0]
 
     steps = [(B.reshape(2, -1) @ fit.perp, np.zeros(nv)) for B in np.eye(fit.m)]
     steps += [(np.zeros_like(true), delta) for delta in np.eye(nv)]
@@ -200,7 +200,7 @@ def test_free_motion_is_never_called_held_for_certain(kind):
     """Nothing holds the arm, however it is moved: no set of five demonstrations may give a clear answer."""
     for axes, seed in (("xyz", 0), ("pose", 1)):
         features, demos, _ = moving(kind, "sawyer", seed, 5)
-        found = recombined(ml.FrameJacobian(features.robot, features.frame.name, axes), demos, seed)
+        found = recombination_test(ml.FrameJacobian(features.robot, features.frame.name, axes), demos, seed)
         assert verdict(found) != "clear", (axes, seed, found)
 
 
@@ -211,7 +211,7 @@ def test_chance_finds_a_row_as_rarely_as_its_p_value_says():
         rng = np.random.default_rng(seed)
         start = random_posture(features.robot, rng, 0.2)
         made = [wandering(7, rng) for _ in range(5)]
-        p.append(recombined(features, [ml.Trajectory(t.time, start + t.q, t.u) for t in made], seed).chances[0])
+        p.append(recombination_test(features, [ml.Trajectory(t.time, start + t.q, t.u) for t in made], seed).chances[0])
     assert np.count_nonzero(np.array(p) <= 0.2) <= 16  # of 40, 8 expected: chance of more 0.2 %
     assert np.median(p) > 0.2
 
@@ -222,21 +222,21 @@ def test_held_rows_are_counted_and_clear():
     rows and says so.
     """
     for s in (1, 2):
-        found = recombined(*held_motions(s, 0))
+        found = recombination_test(*held_motions(s, 0))
         assert (found.n_rows, verdict(found)) == (s, "clear"), found
         assert states(found) == ["held"] * s + ["free"] * (3 - s)
     for n in (1, 2):
-        found = recombined(*held_motions(2, 10, n, noise=0.0))
+        found = recombination_test(*held_motions(2, 10, n, noise=0.0))
         assert (found.n_rows, verdict(found)) == (2, "weak") and "too few to be sure" in found.sentence()
     features, trajectories = held_motions(2, 11, 6)
     joints, q = features.robot.joint_names, trajectories[0].q
     still = ml.Trajectory(np.arange(50.0), q[:50], np.zeros((50, 7)), joints)
     single = ml.Trajectory(np.zeros(1), q[:1], np.ones((1, 7)), joints)
     uneven = [t.part(slice(0, 30 + 14 * i)) for i, t in enumerate(trajectories)]
-    found = recombined(features, [still, *uneven, single])
+    found = recombination_test(features, [still, *uneven, single])
     assert (found.n_rows, found.n_pieces) == (2, 6)
     for nothing in ([], [still, still, still]):
-        empty = recombined(features, nothing)
+        empty = recombination_test(features, nothing)
         assert (empty.n_rows, verdict(empty)) == (0, "none") and "do not move" in empty.sentence()
 
 

@@ -5,30 +5,28 @@ from __future__ import annotations
 import hashlib
 import re
 from datetime import UTC, datetime, timedelta
-from pathlib import Path
 
 import numpy as np
 import pytest
+from task_sets import DATA
 from test_playback import data_in
 
 import manip_learn as ml
 from manip_learn.learning.report import version
 
-ROOT = Path(__file__).resolve().parents[1]
-FILES = sorted((ROOT / "examples" / "data" / "sawyer_drawer").glob("*.csv"))[:3]
+FILES = sorted((DATA / "sawyer_drawer").glob("*.csv"))[:3]
 
 
 @pytest.fixture(scope="module")
 def learner() -> ml.ConstraintLearner:
-    """The drawer, from three files, with settings of its own."""
-    robot = ml.load_robot("sawyer")
-    features = ml.FrameJacobian(robot, "right_gripper_tip", axes="xyz")
+    """The drawer, learnt from three files with settings of its own."""
+    features = ml.FrameJacobian(ml.load_robot("sawyer"), "right_gripper_tip")
     learner = ml.ConstraintLearner(features, joint_offset_std=0.2, seed=np.int64(4))  # type: ignore[arg-type]
-    return learner.fit(ml.load_demonstrations(FILES, robot))
+    return learner.fit(ml.load_demonstrations(FILES, features.robot))
 
 
 def test_a_constraint_says_what_made_it(learner, tmp_path):
-    """Version, date, each recording with the SHA-256 of its file, and the settings; the file keeps them."""
+    """A constraint file keeps the version, the date, the SHA-256 of each recording and the settings."""
     loaded = ml.Constraint.load(learner.skill_.save(tmp_path / "task.json"), learner.constraint_.robot)
     made = loaded.provenance["made"]
     digests = {file.name: hashlib.sha256(file.read_bytes()).hexdigest() for file in FILES}
@@ -40,14 +38,13 @@ def test_a_constraint_says_what_made_it(learner, tmp_path):
 
 
 def test_what_is_made_of_it_carries_it(learner, tmp_path):
-    """A rollout, a plan and a page."""
+    """A rollout, a plan and a replay page carry the provenance of their constraint."""
     constraint = learner.constraint_
     made, start = constraint.provenance["made"], constraint.provenance["postures"][0]
     task = ml.motion(constraint)
     run = ml.simulate(constraint.robot, ml.ResolvedRateController(constraint, task), start, duration=0.05)
     kept = ml.Rollout.load(run.save(tmp_path / "run.npz"))
-    planned = ml.plan(constraint, task, start, seed=0)
-    for rollout in (kept, planned.rollout):
+    for rollout in (kept, ml.plan(constraint, task, start, seed=0).rollout):
         assert rollout.constraint is not None and rollout.constraint["provenance"]["made"] == made
     ml.replay(constraint.robot, {"run": kept}, tmp_path / "run.html", open_browser=False)
     assert data_in(tmp_path / "run.html")["made"] == made

@@ -18,7 +18,7 @@ from manip_learn.control.limits import Limits
 from manip_learn.errors import MissingExtraError
 from manip_learn.planning.clearance import Clearance, Surroundings, links_of
 from manip_learn.planning.joint_path import joint_path
-from manip_learn.planning.stations import Stations, margins_of
+from manip_learn.planning.stations import Stations, path_margins
 from manip_learn.planning.ways import soft_margin
 from manip_learn.robot.collision import Obstacle, SelfCollision
 
@@ -162,7 +162,7 @@ def test_a_hand_that_may_turn_is_named_where_it_would_help(panda):
     rail = line(panda, PANDA_TIP, (0.0, 1.0, 0.0))
     with pytest.raises(ml.NoPlanError) as refused:
         ml.plan(rail, ml.motion(rail, along=0.75, keep_orientation=True), READY, **FEW)
-    assert refused.value.helps == ("a hand that may turn on the way could do it",)
+    assert refused.value.helps == ("a hand that is free to rotate could complete it",)
 
 
 def test_nothing_touches_between_the_stations_of_a_way(tmp_path):
@@ -226,7 +226,7 @@ def test_the_slope_of_the_soft_margin_is_that_of_central_differences(panda):
         numeric[i, j] = (soft_margin(stations, ahead)[0] - soft_margin(stations, behind)[0]) / (2.0 * steps)
     rows = list(range(0, len(q), 3))
     assert np.max(np.abs(numeric[rows] - slope[rows])) < 1e-5 * max(1.0, np.max(np.abs(slope)))
-    assert value <= margins_of(stations, q).margin + 1e-9
+    assert value <= path_margins(stations, q).margin + 1e-9
 
 
 def test_the_sense_in_which_joints_have_more_room(rng):
@@ -303,7 +303,7 @@ def blocked(
     free = (q for q in postures if not known.closer_than(q, 0.006))
     for start, goal in zip(free, free, strict=False):
         clear = Clearance(robot, links, Surroundings(obstacles), start)
-        if not clear.of_line(start, goal):
+        if not clear.is_line_clear(start, goal):
             yield start, goal, clear
 
 

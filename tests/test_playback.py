@@ -37,11 +37,10 @@ def waving(robot, duration=2.0, dt=0.01, phase=0.0):
 
 def evil_robot(folder):
     """A planar arm whose own name and those of a link and a joint are markup."""
-    urdf = PLANAR3.read_text().replace("planar3", escape(EVIL))
-    urdf = urdf.replace("link2", escape(EVIL)).replace("joint2", escape("<b>joint</b>"))
-    path = folder / "evil.urdf"
-    path.write_text(urdf.replace(escape(EVIL), escape(EVIL, {'"': "&quot;"})), encoding="utf-8")
-    return ml.load_robot(path)
+    quoted = escape(EVIL, {'"': "&quot;"})
+    urdf = PLANAR3.read_text().replace("planar3", quoted).replace("link2", quoted)
+    (folder / "evil.urdf").write_text(urdf.replace("joint2", escape("<b>joint</b>")), encoding="utf-8")
+    return ml.load_robot(folder / "evil.urdf")
 
 
 def data_in(path):
@@ -55,31 +54,25 @@ def unpacked(text, dtype="<f8"):
     return np.frombuffer(base64.b64decode(text), dtype)
 
 
-def test_pages_are_small_and_true(robot_of, tmp_path):
-    """Ten minutes of a panda at 100 Hz, meshes included, below 5 MB, and within 2 mrad of each sample between key
-    frames; three short rollouts of a Sawyer in one file of 3 MB, viewer included, and nothing else.
+def test_pages_are_small_and_accurate(robot_of, tmp_path):
+    """Ten minutes of a Panda at 100 Hz, meshes included, make one file below 5 MB, in a folder that did not exist. It
+    is within 2 mrad of each sample between key frames.
     """
-    rollout = waving(robot_of("panda"), 600.0)
-    path = ml.replay(robot_of("panda"), {"a": rollout}, tmp_path / "a.html").html
-    assert path.stat().st_size < 5_000_000
+    rollout, path = waving(robot_of("panda"), 600.0), tmp_path / "new" / "a.html"
+    result = ml.replay(robot_of("panda"), {"a": rollout}, path)
+    assert result.html == path.resolve() and result.bytes == path.stat().st_size < 5_000_000
+    assert [p.name for p in path.parent.iterdir()] == ["a.html"]
     drawn = data_in(path)["rollouts"][0]
     times, tracks = unpacked(drawn["keyTimes"]), unpacked(drawn["tracks"])
     for j, column in enumerate(tracks.reshape(len(times), -1)[:, :7].T):
         assert np.abs(np.interp(rollout.time, times, column) - rollout.q[:, j]).max() < 2e-3
-    robot, path = robot_of("sawyer"), tmp_path / "new" / "replay.html"
-    result = ml.replay(robot, {name: waving(robot, 10.0) for name in ("learnt", "zero", "attractor")}, path)
-    assert (result.html, result.notes) == (path.resolve(), ())
-    assert result.bytes == path.stat().st_size < 3_000_000
-    assert [p.name for p in path.parent.iterdir()] == ["replay.html"]
-    assert [r["name"] for r in data_in(path)["rollouts"]] == ["learnt", "zero", "attractor"]
 
 
-def test_a_page_is_closed_off_and_brings_the_licences_of_others(robot_of, tmp_path):
-    """The policy allows the page's two scripts by their hashes and no connection; nothing is loaded from outside. Who
-    wrote the viewer, three.js and all that is bundled with them, and under which licence, is there word for word.
+def test_page_loads_nothing_and_contains_the_licences(robot_of, tmp_path):
+    """The policy allows the page's two scripts by their hashes and no connection; nothing is loaded from outside. The
+    licences of the viewer, three.js and their dependencies are in the page word for word.
     """
-    robot = robot_of("planar3")
-    text = ml.replay(robot, waving(robot, 0.1), tmp_path / "a.html").html.read_text(encoding="utf-8")
+    text = ml.replay(robot_of("planar3"), waving(robot_of("planar3"), 0.1), tmp_path / "a.html").html.read_text("utf-8")
     policy = re.search(r'http-equiv="Content-Security-Policy" content="(.*?)"', text)[1]
     scripts = re.findall(r"<script>(.*?)</script>", text, re.DOTALL)
     hashes = [base64.b64encode(hashlib.sha256(script.encode()).digest()).decode() for script in scripts]
@@ -87,12 +80,10 @@ def test_a_page_is_closed_off_and_brings_the_licences_of_others(robot_of, tmp_pa
     assert "default-src 'none'" in policy and "connect-src 'none'" in policy
     assert "unsafe-eval" not in policy and "script-src 'unsafe-inline'" not in policy
     assert not re.search(r"(src|href)\s*=", re.sub(r"<script>.*?</script>", "", text, flags=re.DOTALL))
-    embedded = unescape(re.search(r'<script type="text/plain" id="licences">(.*?)</script>', text, re.DOTALL)[1])
-    assert embedded == (PLANAR3.parents[1] / "LICENSES" / "third-party-pages.txt").read_text(encoding="utf-8")
+    licences = unescape(re.search(r'<script type="text/plain" id="licences">(.*?)</script>', text, re.DOTALL)[1])
+    assert licences == (PLANAR3.parents[1] / "LICENSES" / "third-party-pages.txt").read_text(encoding="utf-8")
     for name in ("meshcat", "three 0.132.2", "dat.gui", "msgpack-lite", "Copyright © 2010-2021 three.js authors"):
-        assert name in embedded
-    assert embedded.count("Permission is hereby granted, free of charge") >= 7
-    assert '"LICENSES/*.txt"' in (PLANAR3.parents[1] / "pyproject.toml").read_text()
+        assert name in licences
 
 
 def broken(rollout, **changes):
@@ -133,6 +124,10 @@ def test_bad_rollouts_and_choices_are_refused(robot_of, tmp_path):
         ({"a": good}, {"colours": {"a": "gren"}}, UnknownNameError, "unknown colour 'gren'.*'green'"),
         ({"a": good}, {"colours": {"b": "green"}}, UnknownNameError, "unknown rollout 'b'"),
         (good, {"html": tmp_path}, OutputError, "is a folder"),
+        *(
+            (good, wrong, RecordingError, "align|side_by_side")
+            for wrong in ({"align": "contact"}, {"side_by_side": True})
+        ),
     ):
         with pytest.raises(error, match=words):
             ml.replay(robot, shown, **{"html": path} | more)
@@ -141,43 +136,30 @@ def test_bad_rollouts_and_choices_are_refused(robot_of, tmp_path):
 
 def test_demonstrations_have_no_curve(robot_of, tmp_path):
     """A trajectory plays without a manipulability curve, under its own name, columns matched by joint name."""
-    robot = robot_of("planar3")
-    rollout = waving(robot)
+    robot, rollout = robot_of("planar3"), waving(robot_of("planar3"))
     shuffled = ml.Trajectory(rollout.time + 5.0, rollout.q[:, ::-1], None, robot.joint_names[::-1], "demo_01")
-    ml.replay(robot, shuffled, tmp_path / "a.html")
-    ml.replay(robot, rollout, tmp_path / "b.html")
-    one, other = (data_in(tmp_path / f"{n}.html")["rollouts"][0] for n in "ab")
-    assert one["name"] == "demo_01"
-    assert one["curve"] == "" and one["status"] == []
-    assert one["tracks"] == other["tracks"]
-    assert unpacked(one["keyTimes"])[0] == 0.0
+    page, other = (
+        data_in(ml.replay(robot, shown, tmp_path / "a.html").html)["rollouts"][0] for shown in (shuffled, rollout)
+    )
+    assert (page["name"], page["curve"], page["status"]) == ("demo_01", "", [])
+    assert page["tracks"] == other["tracks"] and unpacked(page["keyTimes"])[0] == 0.0
 
 
-def test_replay_draws_the_frame_of_the_rollout(robot_of, tmp_path):
-    """A rollout knows the frame of its constraint, in its file too; `tip` overrules it."""
-    robot = robot_of("planar3")
-    controller = ml.ResolvedRateController(ml.Constraint(np.eye(3)[:2], ml.FrameJacobian(robot, "link2", "planar")))
-    rollout = ml.Rollout.load(ml.simulate(robot, controller, [0.1, 0.2, 0.3], 0.1).save(tmp_path / "r.npz"))
-    assert rollout.frame == "link2"
-    for more, tip in (({}, "link2"), ({"tip": "tip"}, "tip")):
-        assert data_in(ml.replay(robot, rollout, tmp_path / "a.html", **more).html)["robot"]["tip"] == tip
-
-
-def test_without_a_file_the_browser_opens(robot_of, tmp_path, monkeypatch):
-    """Without a file name a temporary page is written and shown; with one, only on request."""
+def test_browser_opens_without_a_file_name(robot_of, tmp_path, monkeypatch):
+    """Without a file name a temporary page is written and shown, unless `open_browser` is False; with one, only if it
+    is True.
+    """
     opened: list[str] = []
-    monkeypatch.setattr(webbrowser, "open", lambda url: opened.append(url))
-    monkeypatch.setenv("TMPDIR", str(tmp_path))
-    monkeypatch.setattr("tempfile.tempdir", None)
-    robot = robot_of("planar3")
-    result = ml.replay(robot, waving(robot))
-    assert result.html.is_file()
-    assert opened == [result.html.as_uri()]
-    ml.replay(robot, waving(robot), tmp_path / "a.html")
-    ml.replay(robot, waving(robot), open_browser=False)
-    assert len(opened) == 1
-    ml.replay(robot, waving(robot), tmp_path / "a.html", open_browser=True)
-    assert len(opened) == 2
+    monkeypatch.setattr(webbrowser, "open", opened.append)
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    robot, motion = robot_of("planar3"), waving(robot_of("planar3"))
+    page = ml.replay(robot, motion).html
+    assert page.is_file() and tmp_path in page.parents
+    ml.replay(robot, motion, tmp_path / "a.html")
+    ml.replay(robot, motion, open_browser=False)
+    assert opened == [page.as_uri()]
+    ml.replay(robot, motion, tmp_path / "a.html", open_browser=True)
+    assert opened[1:] == [(tmp_path / "a.html").as_uri()]
 
 
 def test_meshcat_is_never_imported(tmp_path):
@@ -185,10 +167,8 @@ def test_meshcat_is_never_imported(tmp_path):
     code = (
         "import sys, numpy as np, manip_learn as ml\n"
         "robot = ml.load_robot('planar3')\n"
-        "t = np.arange(3.0)\n"
-        "demo = ml.Trajectory(t, np.zeros((3, 3)), None, robot.joint_names)\n"
+        "demo = ml.Trajectory(np.arange(3.0), np.zeros((3, 3)), None, robot.joint_names)\n"
         f"ml.replay(robot, demo, {str(tmp_path / 'a.html')!r})\n"
-        "print([m for m in ('meshcat', 'IPython', 'tornado', 'zmq', 'trimesh') if m in sys.modules])\n"
+        "assert not {'meshcat', 'IPython', 'tornado', 'zmq', 'trimesh'} & {*sys.modules}\n"
     )
-    out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=True)
-    assert out.stdout.strip() == "[]"
+    subprocess.run([sys.executable, "-c", code], timeout=60, check=True)

@@ -1,4 +1,4 @@
-"""Key frames, joint tracks, curves and phases of a replay."""
+"""Key frames, curves, phases and shapes of a replay."""
 
 from __future__ import annotations
 
@@ -6,13 +6,15 @@ import json
 from dataclasses import replace
 
 import numpy as np
-import pinocchio as pin
 import pytest
+import trimesh
+from case import case
+from conftest import URDFS
 from test_playback import data_in, unpacked, waving
 
 import manip_learn as ml
 from manip_learn.errors import RecordingError
-from manip_learn.playback.appearance import Appearance, joint_tracks, kinematic_tree
+from manip_learn.playback.appearance import appearance, decimate, kinematic_tree
 from manip_learn.playback.palette import PhaseBand, phase_bands, phases_from_json
 from manip_learn.playback.recorded_motion import (
     MAX_CURVE_POINTS,
@@ -23,93 +25,42 @@ from manip_learn.playback.recorded_motion import (
     recorded_motion,
 )
 from manip_learn.playback.scene_data import scene_data
-
-ROBOTS = ("planar3", "sawyer", "panda", "kinova", "gantry", "wrist", "humanoid", "rover", "tree", "mimic")
-
-
-def posed(tree, values):
-    """Poses of all joints from the numbers of one key frame, as the page's program computes them."""
-    poses, k = [np.eye(4)], 0
-    for joint in tree[1:]:
-        motion, x = np.eye(4), values[k : k + (7 if joint.motion == "free" else 1)]
-        if joint.motion == "revolute":
-            motion[:3, :3] = pin.AngleAxis(x[0], joint.axis).matrix()
-        elif joint.motion == "prismatic":
-            motion[:3, 3] = x[0] * joint.axis
-        else:
-            motion = pin.XYZQUATToSE3(x).homogeneous
-        poses.append(poses[joint.parent] @ joint.placement @ motion)
-        k += len(x)
-    assert k == len(values)
-    return poses
-
-
-def test_tracks_are_forward_kinematics(robot_of, rng):
-    """The numbers of a key frame give every joint's pose back, whatever kinds of joints and mimics there are."""
-    for name in ROBOTS:
-        robot = robot_of(name)
-        tree, model = kinematic_tree(robot), robot.pinocchio_model
-        data = model.createData()
-        postures = np.array([robot.random_configuration(rng) for _ in range(20)])
-        for q, values in zip(postures, joint_tracks(robot, postures), strict=True):
-            pin.forwardKinematics(model, data, robot.pinocchio_configuration(q))
-            for pose, placed in zip(posed(tree, values), data.oMi, strict=True):
-                np.testing.assert_allclose(pose, placed.homogeneous, atol=1e-12, err_msg=name)
+from manip_learn.robot.loading import load_robot
+from manip_learn.robot.visuals.meshes import Mesh
+from manip_learn.robot.visuals.visual_shapes import visual_shapes
 
 
 def test_key_frames_are_few_and_keep_the_ends():
     """At most 60 key frames a second and 18,000 in all; slow recordings keep every sample; first and last stay."""
-    for rate, seconds, most in ((1000.0, 10.0, 602), (100.0, 10.0, 602), (30.0, 10.0, 301), (100.0, 900.0, 18_001)):
+    for rate, seconds, least, most in (
+        *((1000.0, 10.0, 2, 602), (30.0, 10.0, 301, 301), (60.0, 10.0, 601, 601)),
+        *((100.0, 900.0, 2, MAX_KEY_FRAMES + 1), (1.0, 0.0, 1, 1)),
+    ):
         time = np.arange(int(rate * seconds) + 1) / rate
         keys = key_frames(time)
         assert keys[0] == 0 and keys[-1] == time.size - 1
-        assert np.all(np.diff(keys) > 0)
-        assert keys.size <= min(most, MAX_KEY_FRAMES + 1)
-    assert key_frames(np.arange(301) / 30.0).size == 301
-    assert key_frames(np.arange(601) / 60.0).size == 601
-    assert key_frames(np.zeros(1)).tolist() == [0]
+        assert np.all(np.diff(keys) > 0) and least <= keys.size <= most
     assert key_frames(np.array([0.0, 1e9])).tolist() == [0, 1]
 
 
 def test_thinned_curves_keep_every_dip(robot_of, tmp_path):
     """A dip of one sample among 50,000 is in the curve, and the page's path and curve stay short; the path goes through
-    the tip at its times; the strip says when each status begins.
+    the tip at its times; each status has its start.
     """
     robot, rollout = robot_of("planar3"), waving(robot_of("planar3"), 500.0)
     mu = np.ones(len(rollout))
     mu[33_333] = 1e-4
     words = np.where(rollout.time < 2.0, "ok", np.where(rollout.time < 3.0, "damped", "singular"))
-    long = ml.Rollout(rollout.time, rollout.q, rollout.u, mu, tuple(words), robot.joint_names, mu)
+    long = replace(rollout, manipulability=mu, status=tuple(words))
     (drawn,) = data_in(ml.replay(robot, {"a": long}, tmp_path / "a.html").html)["rollouts"]
     curve, path = unpacked(drawn["curve"]), unpacked(drawn["path"], "<f4")
     assert curve.size <= MAX_CURVE_POINTS + 2 and path.size <= 3 * MAX_PATH_POINTS
     assert curve.min() == 1e-4 and unpacked(drawn["curveTimes"])[np.argmin(curve)] == rollout.time[33_333]
     assert [(t, word) for t, word, _ in drawn["status"]] == [(0.0, "ok"), (2.0, "damped"), (3.0, "singular")]
-    assert drawn["duration"] == pytest.approx(500.0)
-    robot = robot_of("sawyer")
-    tip, rollout = robot.frame("right_hand"), waving(robot)
+    tip = robot.frame("tip")
     motion = recorded_motion(robot, tip, guided_motion(robot, "a", rollout))
     at = np.searchsorted(rollout.time, motion.path_times - 1e-9)
     np.testing.assert_allclose(motion.path, [robot.position(rollout.q[i], tip) for i in at], atol=1e-12)
-
-
-def test_planar_arms_are_seen_from_above(robot_of):
-    """A robot that moves in the plane of the floor is looked at from above; all that is drawn is in the picture."""
-    for name, view in (("planar3", "top"), ("sawyer", "iso"), ("gantry", "iso")):
-        robot = robot_of(name)
-        tip = robot.frame("right_hand" if name == "sawyer" else "tip")
-        motion = recorded_motion(robot, tip, guided_motion(robot, "a", waving(robot)))
-        data = scene_data(robot, Appearance(()), "", [motion], [])
-        low, high = np.array(data["bounds"])
-        assert data["view"] == view and data["floor"] == min(low[2], 0.0)
-        assert np.all(motion.path >= low - 1e-9) and np.all(motion.path <= high + 1e-9)
-        # the camera is beside the middle of the path, 62 degrees on
-        x, y, _ = motion.path.mean(axis=0)
-        assert data["azimuth"] == pytest.approx(np.arctan2(y, x) - np.radians(62.0))
-        outline = np.array(data["outline"])
-        np.testing.assert_allclose(
-            [outline.min(axis=0), outline.max(axis=0)], [low, high], atol=0.02 * np.ptp([low, high])
-        )
 
 
 # ---- phases ----------------------------------------------------------------------------------------------------------
@@ -123,62 +74,118 @@ BAD_PHASES = [
 ]
 
 
-def test_bands_belong_to_their_recording():
-    """In order of time; those of recordings that are not shown are left out; none at all is a mistake in the names."""
-    bands = phase_bands([FIRST, SECOND, FREE, ("a", 2.0, 2.0, 999)], ["a", "c"])
+def test_phases_survive_json_and_bad_ones_are_refused():
+    """Phases are read from lists or objects and sorted by recording and time. One that cannot be drawn is refused with
+    its number, and so are names that match no recording.
+    """
+    phases = (FIRST, SECOND, FREE, ("a", 2.0, 2.0, 999, "too short"))
+    keys = ("trajectory", "start", "end", "constraint", "reason")
+    assert phases_from_json(json.loads(json.dumps(phases))) == phases
+    assert phases_from_json([dict(zip(keys, phase, strict=False)) for phase in phases]) == phases
+    bands = phase_bands(phases, ["a", "c"])
     assert bands == {"a": (PhaseBand(0.0, 1.0, None), PhaseBand(1.0, 2.0, 0), PhaseBand(2.0, 2.0, 999)), "c": ()}
     with pytest.raises(RecordingError, match=r"'a', 'b'.*shown are 'demo_01'"):
         phase_bands([FIRST, SECOND], ["demo_01"])
-
-
-def test_phases_survive_json_and_bad_ones_are_refused():
-    """They come back as they were, from lists or objects; one that cannot be drawn is refused with its number."""
-    phases = (FREE, FIRST, SECOND, (*FIRST, "too short"))
-    assert phases_from_json(json.loads(json.dumps(phases))) == phases
-    keys = ("trajectory", "start", "end", "constraint", "reason")
-    assert phases_from_json([dict(zip(keys, phase, strict=False)) for phase in phases]) == phases
     with pytest.raises(RecordingError, match="list"):
         phases_from_json("phases")
     for phase in BAD_PHASES:
-        for refused in (lambda p: phase_bands([FREE, p], ["a"]), lambda p: phases_from_json([list(FREE), p])):
-            with pytest.raises(RecordingError, match="phase 1"):
-                refused(phase)
-                pytest.fail(f"{phase} was taken")
-
-
-def test_times_are_moved_to_the_first_sample(robot_of, tmp_path):
-    """Phases are given on the recording's own clock, drawn from its first sample on, and cut where it ends."""
-    robot, rollout = robot_of("planar3"), waving(robot_of("planar3"))
-    phases = [("a", 99.0, 100.5, None), ("a", 100.5, 107.0, 0), ("a", 110.0, 111.0, 1)]
-    recorded = ml.Trajectory(rollout.time + 100.0, rollout.q, None, rollout.joint_names, "a")
-    data = data_in(ml.replay(robot, {"a": recorded}, tmp_path / "a.html", phases=phases).html)
-    np.testing.assert_allclose(data["rollouts"][0]["phases"], [[0.0, 0.5, -1], [0.5, 2.0, 0]])
-    data = data_in(ml.replay(robot, {"a": recorded, "b": recorded}, tmp_path / "a.html").html)
-    assert data["phaseKinds"] == data["mechanisms"] == [] and len({r["colour"] for r in data["rollouts"]}) == 2
-
-
-OWN = (("approach", 0.0, 0.8), ("hold", 0.8, 1.0), ("way", 1.0, 2.0))
+        with case(phase), pytest.raises(RecordingError, match="phase 1"):
+            phase_bands([FREE, phase], ["a"])
+        with case(phase), pytest.raises(RecordingError, match="phase 1"):
+            phases_from_json([list(FREE), phase])
 
 
 def test_a_rollouts_own_phases_are_bands_in_its_own_colour(robot_of, tmp_path):
-    """They are in the page with their words, from its files too, and the page is not one of constraints: all keep their
-    colours; those of constraints replace them where they are given.
+    """The phases of a rollout are in the page with their words, also when it is loaded from a file. Phases of
+    constraints replace them.
     """
-    robot = robot_of("planar3")
-    rollout, page = replace(waving(robot), phases=OWN), tmp_path / "a.html"
+    robot, page = robot_of("planar3"), tmp_path / "a.html"
+    rollout = replace(waving(robot), phases=(("approach", 0.0, 0.8), ("hold", 0.8, 1.0), ("way", 1.0, 2.0)))
     data = data_in(ml.replay(robot, {"plan": rollout, "zero": waving(robot, phase=1.0)}, page).html)
     plan, zero = data["rollouts"]
     assert plan["phases"] == [[0.0, 0.8, 0], [0.8, 1.0, 1], [1.0, 2.0, 2]]
-    assert [k["label"] for k in plan["phaseKinds"]] == [k["mark"] for k in plan["phaseKinds"]] == [p[0] for p in OWN]
-    assert {k["colour"] for k in plan["phaseKinds"]} == {plan["colour"]} != {zero["colour"]}
-    approach, hold, way = (k["strength"] for k in plan["phaseKinds"])
-    assert approach < hold < way == 1.0
+    assert [kind["label"] for kind in plan["phaseKinds"]] == ["approach", "hold", "way"]
+    assert {kind["colour"] for kind in plan["phaseKinds"]} == {plan["colour"]} != {zero["colour"]}
     assert zero["phases"] == data["phaseKinds"] == [] and "phaseKinds" not in zero
-    drawn = data_in(ml.replay(robot, {"plan": rollout}, page).html)["rollouts"]
     for ending in (".npz", ".csv"):
         again, _ = ml.Rollout.load_with_notes(rollout.save(tmp_path / f"a{ending}"), robot)
-        assert data_in(ml.replay(robot, {"plan": again}, page).html)["rollouts"] == drawn, ending
-    data = data_in(ml.replay(robot, {"a": rollout, "b": rollout}, page, phases=[FREE, FIRST]).html)
-    a, b = data["rollouts"]
-    assert a["phases"] == [[0.0, 1.0, -1], [1.0, 2.0, 0]] and "phaseKinds" not in a
-    assert len(b["phases"]) == len(b["phaseKinds"]) == 3 and len(data["phaseKinds"]) == 2
+        assert data_in(ml.replay(robot, {"plan": again, "zero": again}, page).html)["rollouts"][0] == plan, ending
+    a, b = data_in(ml.replay(robot, {"a": rollout, "b": rollout}, page, phases=[FREE, FIRST]).html)["rollouts"]
+    assert a["phases"] == [[0.0, 1.0, -1], [1.0, 2.0, 0]] and "phaseKinds" not in a and len(b["phases"]) == 3
+
+
+# ---- shapes ----------------------------------------------------------------------------------------------------------
+
+
+def soup(mesh):
+    """Every corner of a triangle is a vertex of its own, as in an STL file."""
+    return Mesh(mesh.vertices[mesh.faces].reshape(-1, 3), np.arange(3 * len(mesh.faces)).reshape(-1, 3))
+
+
+def volume(mesh):
+    """Enclosed volume [m^3]; positive if triangles are counter-clockwise from outside."""
+    return trimesh.Trimesh(mesh.vertices, mesh.faces, process=False).volume
+
+
+BALL, CUBE = soup(trimesh.creation.icosphere(5, 0.1)), soup(trimesh.creation.box((1.0, 1.0, 1.0)))
+
+
+def test_simplified_meshes_keep_budget_and_shape():
+    """Large meshes are simplified until all fit the budget, small ones stay; size, volume and orientation hardly
+    change. A mesh within the budget keeps its triangles.
+    """
+    (ball, cube), before, after = decimate([BALL, CUBE], 3000)
+    assert before > 10_000 and 1500 < after <= 3000 and len(cube.faces) == 12
+    assert volume(ball) == pytest.approx(volume(BALL), rel=0.05)
+    np.testing.assert_allclose(np.ptp(ball.vertices, axis=0), 0.2, rtol=0.06)
+    (cube, ball), before, after = decimate([CUBE, BALL], 10**6)
+    assert before == after and volume(cube) == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("name", ["gantry", "tree", "rover", "ur5e"])
+def test_robots_without_meshes_get_shells(robot_of, name):
+    """A robot without meshes is drawn with closed shells, and something is drawn at every joint."""
+    robot = robot_of(name)
+    looks = appearance(robot)
+    assert {s.joint for s in looks.shapes} == set(range(len(kinematic_tree(robot))))
+    assert all(np.isfinite(s.pose).all() for s in looks.shapes) and len(looks.meshes) > 0
+    for mesh in looks.meshes:
+        sides = np.concatenate([mesh.faces[:, [0, 1]], mesh.faces[:, [1, 2]], mesh.faces[:, [2, 0]]])
+        assert sorted(map(tuple, sides)) == sorted(map(tuple, sides[:, ::-1])) and volume(mesh) > 0.0
+
+
+def looks_with(folder, geometry):
+    """Looks of a gantry whose second link has a shape of its own."""
+    path = folder / "arm.urdf"
+    visual = f'<link name="link2"><visual><geometry>{geometry}</geometry></visual>'
+    path.write_text(URDFS["gantry"].replace('<link name="link2">', visual), encoding="utf-8")
+    return appearance(load_robot(path))
+
+
+def test_own_shapes(tmp_path):
+    """A box of the description is drawn with its size. A link whose mesh is missing gets plain shapes and a note that
+    names both.
+    """
+    assert (0.6, 0.4, 0.3) in [s.size for s in looks_with(tmp_path, '<box size="0.6 0.4 0.3"/>').shapes]
+    looks = looks_with(tmp_path, '<mesh filename="package://nowhere/arm.stl"/>')
+    assert "link2" in looks.notes[0] and "arm.stl" in looks.notes[0] and looks.shapes
+
+
+def test_meshes_are_packed(robot_of):
+    """The Panda's meshes stay within the budget, a note says so, and the page's 16-bit vertices are within 10
+    micrometres. Its hand keeps its white, black and grey.
+    """
+    robot = robot_of("panda")
+    looks = appearance(robot, max_triangles=5000)
+    assert sum(len(m.faces) for m in looks.meshes) <= 5000
+    assert any("simplified from" in note for note in looks.notes)
+    motion = recorded_motion(robot, robot.frame("panda_hand"), guided_motion(robot, "a", waving(robot)))
+    data = scene_data(robot, looks, "panda_hand", [motion], looks.notes)
+    for packed, mesh in zip(data["robot"]["meshes"], looks.meshes, strict=True):
+        steps = unpacked(packed["positions"], "<u2").reshape(-1, 3)
+        np.testing.assert_allclose(packed["origin"] + steps * packed["step"], mesh.vertices, atol=1e-5)
+        triangles = unpacked(packed["triangles"], "<u4" if packed["wide"] else "<u2").reshape(-1, 3)
+        np.testing.assert_array_equal(triangles, mesh.faces)
+    hand = next(v for v in visual_shapes(robot) if v.link == "panda_hand")
+    colours = {s.colour for s in looks.shapes if np.array_equal(s.pose, hand.placement) and s.joint == hand.joint}
+    assert colours == {tuple(c) for c in hand.shape.colours} and len(colours) > 2

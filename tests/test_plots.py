@@ -5,8 +5,8 @@ from __future__ import annotations
 import dataclasses
 import sys
 from collections.abc import Iterator
-from html.parser import HTMLParser
 from typing import Any
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -35,7 +35,7 @@ def ax() -> Iterator[Any]:
 
 @pytest.fixture(scope="module")
 def runs() -> dict[str, ml.Rollout]:
-    """What was shown once more, with two policies: a line of Python, and nothing."""
+    """The demonstrated motion with two policies: a line of Python, and none."""
     robot, demos, learner = sawyer_drawer()
     policies: dict[str, Any] = {"towards zero": lambda q: -q, "nothing": None}
     task, start = ml.motion(learner.constraint_), demos[0].q[0]
@@ -48,9 +48,9 @@ def words(ax: Any) -> set[str]:
     return {text.get_text() for text in ax.get_legend().get_texts()}
 
 
-def test_mu_is_drawn_with_its_status_and_what_was_shown(ax, runs):
-    """Each rollout is a curve with its name; a line "singular" at 0; the band of the recordings; the unit of mu. One,
-    or a list, needs no names; what is no rollout is told.
+def test_mu_is_drawn_with_its_name_and_unit(ax, runs):
+    """Each rollout is a named curve; a line "singular" is at 0, and a band shows the demonstrations. One rollout or a
+    list needs no names; anything else is refused.
     """
     assert plots.manipulability(runs, ax) is ax
     for line, rollout in zip(ax.lines, runs.values(), strict=False):
@@ -65,39 +65,33 @@ def test_mu_is_drawn_with_its_status_and_what_was_shown(ax, runs):
             plots.manipulability(wrong, ax)  # type: ignore[arg-type]
 
 
-def test_the_strip_shows_where_the_arm_was_slowed_down_or_stood(ax, runs):
-    """A row below zero for the rollout that did not always move as asked, dark where it stood, as long as it did."""
+def test_a_strip_shows_where_the_arm_was_slowed_down_or_stopped(ax, runs):
+    """Below zero, a rollout has a strip as long as it was slowed down and one as long as it was stopped."""
     run = runs["nothing"]
-    halves = dataclasses.replace(run, status=(*[ml.Status.DAMPED] * 20, *[ml.Status.STALLED] * (len(run) - 20)))
-    plots.manipulability({"well": dataclasses.replace(run, status=(ml.Status.OK,) * len(run)), "badly": halves}, ax)
-    slowed, stopped = (np.concatenate([path.vertices for path in c.get_paths()]) for c in ax.collections)
+    status = (*[ml.Status.DAMPED] * 20, *[ml.Status.STALLED] * (len(run) - 20))
+    plots.manipulability(dataclasses.replace(run, status=status), ax)
+    slowed, stopped = (np.concatenate([path.vertices for path in c.get_paths()]) for c in ax.collections[-2:])
     lengths = [np.ptp(strip[:, 0]) for strip in (slowed, stopped)]
     assert lengths == pytest.approx([run.time[20], run.time[-1] - run.time[20]])
-    assert max(slowed[:, 1].max(), stopped[:, 1].max()) < 0.0 and ax.get_ylim()[0] < min(slowed[:, 1])
-    assert all(tick >= 0.0 for tick in ax.get_yticks())
+    assert max(slowed[:, 1].max(), stopped[:, 1].max()) < 0.0
 
 
-def test_a_column_of_a_paper_can_be_read(ax, runs):
-    """3.5 in wide, all letters 8 pt, names at the curves that do not overlap, nothing outside of the figure."""
+def test_a_figure_for_the_column_of_a_paper(runs):
+    """It is 3.5 in wide, all letters have 8 pt, and names are at the curves; another style is refused."""
     report = sawyer_drawer()[2].report_
-    named = {**runs, "again": runs["nothing"]}
-    for draw, drawn in ((plots.manipulability, named), (plots.gap, report), (plots.evidence, report)):
-        column: Any = draw(drawn, style="column")  # type: ignore[operator]
+    for draw, content in ((plots.manipulability, runs), (plots.gap, report), (plots.evidence, report)):
+        column: Any = draw(content, style="column")  # type: ignore[operator]
         column.figure.canvas.draw()
         assert column.figure.get_figwidth() == 3.5 and column.get_legend() is None
         texts = [text for text in column.findobj(matplotlib.text.Text) if text.get_text() and text.get_visible()]
         assert {text.get_fontsize() for text in texts} <= {8.0}
-        boxes = [text.get_window_extent() for text in column.texts if text.get_text()]
-        assert not any(a.overlaps(b) for i, a in enumerate(boxes) for b in boxes[:i])
-        width = column.figure.bbox.width
-        assert all(0.0 <= box.x0 and box.x1 <= width and 0.0 <= box.y0 for box in boxes)
     with pytest.raises(ManipLearnError, match="style must be one of 'page', 'column', not 'poster'"):
         plots.gap(report, style="poster")  # type: ignore[arg-type]
 
 
-def test_gap_and_evidence_have_what_the_report_has(ax):
-    """Every level is a point, the held ones apart from the free ones, and the gap is written between them; without
-    levels a bar for each number of rows. Strengths are bars, the chance beside them; rows not tested so are told.
+def test_gap_and_evidence_show_the_numbers_of_the_report(ax):
+    """Every level is a point, held and free ones apart, with the gap between them; without levels there is a bar for
+    each number of rows. Strengths are bars with their p-values; a report without row tests is refused.
     """
     report = sawyer_drawer()[2].report_
     plots.gap(report, ax)
@@ -107,14 +101,13 @@ def test_gap_and_evidence_have_what_the_report_has(ax):
     bars = plots.gap(dataclasses.replace(report, levels=()), plt.subplots()[1]).patches
     assert [bar.get_height() for bar in bars] == pytest.approx(list(report.gap_table.values()))
     ax = plots.evidence(report, plt.subplots()[1])
-    strengths = [row.strength for row in report.row_evidence]
-    assert [bar.get_width() + 1.0 for bar in ax.patches] == pytest.approx(strengths)
+    assert [bar.get_width() + 1.0 for bar in ax.patches] == pytest.approx([row.strength for row in report.row_evidence])
     assert [text.get_text().strip() for text in ax.texts] == [f"p = {row.p_value:.2g}" for row in report.row_evidence]
     with pytest.raises(ManipLearnError, match="plots.gap"):
         plots.evidence(dataclasses.replace(report, row_evidence=()), ax)
 
 
-def test_a_rollout_is_a_table_and_what_is_missing_is_told(monkeypatch, runs):
+def test_a_rollout_is_a_table_and_missing_extras_are_named(monkeypatch, runs):
     """A row per sample under the names of the joints; without pandas or matplotlib, what to install."""
     run = runs["nothing"]
     table = run.to_frame()
@@ -127,7 +120,7 @@ def test_a_rollout_is_a_table_and_what_is_missing_is_told(monkeypatch, runs):
 
 
 def test_a_rollout_knows_its_robot(tmp_path, runs):
-    """From the file alone: by its name, or from the file that it was loaded from; a file that is gone is told."""
+    """The file of a rollout leads to its robot, by name or description file; a missing description is named."""
     again = ml.Rollout.load(runs["nothing"].save(tmp_path / "run.npz")).robot
     assert again is not None and again.load().fingerprint == again.fingerprint
     own = tmp_path / "own.urdf"
@@ -135,60 +128,38 @@ def test_a_rollout_knows_its_robot(tmp_path, runs):
     robot = ml.load_robot(own, locked={"joint3": 0.2})
     constraint = ml.Constraint([[0, 1]], ml.FrameJacobian(robot, "tip", axes="x y"))
     run = ml.simulate(robot, ml.ResolvedRateController(constraint), [0.3, 0.8], duration=0.1)
-    kept = ml.Rollout.load(run.save(tmp_path / "own.npz"))
-    assert kept.robot is not None and dict(kept.robot.load().locked) == {"joint3": 0.2}
+    kept = ml.Rollout.load(run.save(tmp_path / "own.npz")).robot
+    assert kept is not None and dict(kept.load().locked) == {"joint3": 0.2}
     own.unlink()
     with pytest.raises(ManipLearnError, match=r"own\.urdf"):
-        kept.robot.load()
-    assert plots.manipulability(kept).lines  # without what was shown
-    plt.close("all")
-
-
-class Balanced(HTMLParser):
-    """Collects the text; fails where an element is closed that is not open."""
-
-    def __init__(self, html: str) -> None:
-        super().__init__()
-        self.open, self.text = list[str](), ""
-        self.feed(html)
-        assert self.open == []
-
-    def handle_starttag(self, tag: str, attrs: object) -> None:
-        self.open.append(tag)
-
-    def handle_endtag(self, tag: str) -> None:
-        assert self.open.pop() == tag
-
-    def handle_data(self, data: str) -> None:
-        self.text += f"{data} "
+        kept.load()
 
 
 def test_a_notebook_shows_the_facts(runs, monkeypatch):
-    """Each card is whole HTML, says what a reader looks for, and has a picture without matplotlib."""
+    """Each card is balanced HTML with its main facts, and has its picture without matplotlib."""
     for name in [name for name in sys.modules if name.partition(".")[0] == "matplotlib"]:
         monkeypatch.setitem(sys.modules, name, None)
-    _, demos, learner = sawyer_drawer()
-    for shown, html, told in (
-        (ml.load_robot("sawyer", locked={"right_j6": 0.5}), "", "Robot sawyer|right_j0|rad/s|locked: right_j6 at 0.5"),
-        (demos, "", "6 recordings|without velocities|demo_01.csv|100"),
-        (learner.report_, "", "The tip can move along|10 is clear|degrees|Gap for each number of rows|demo_06.csv"),
-        (learner, "<path", "held, "),
-        (ml.ConstraintLearner(learner.features), "", "Nothing is learnt yet"),
-        (learner.constraint_, "", "2 of 3 rows|row of Λ|FrameJacobian"),
-        (runs["nothing"], "<polyline", "51 samples over 0.5 s|right_gripper_tip|error at the end|at the least"),
+    robot, demos, learner = sawyer_drawer()
+    for content, expected in (
+        (ml.load_robot("sawyer", locked={"right_j6": 0.5}), "Robot sawyer|right_j0|rad/s|locked: right_j6 at 0.5"),
+        (demos, "6 recordings|without velocities|demo_01.csv|100"),
+        (learner.report_, "The tip can move along|10 is clear|degrees|Gap for each number of rows|demo_06.csv"),
+        (learner, "<path|held, "),
+        (ml.ConstraintLearner(learner.features), "Nothing is learnt yet"),
+        (learner.constraint_, "2 of 3 rows|row of Λ|FrameJacobian"),
+        (runs["nothing"], "<polyline|51 samples over 0.5 s|right_gripper_tip|error at the end|at the least"),
     ):
-        card: str = shown._repr_html_()  # type: ignore[attr-defined]
-        text = Balanced(card).text
-        assert html in card and all(word in text or word in card for word in told.split("|")), text
+        card: str = content._repr_html_()  # type: ignore[attr-defined]
+        text = " ".join(ElementTree.fromstring(f"<div>{card}</div>").itertext())  # every element is closed
+        assert all(word in text or word in card for word in expected.split("|")), text
 
 
 def test_names_cannot_become_markup_or_move_the_cursor():
-    """A recording or joint may be called anything."""
+    """Names and warnings are escaped in cards, and control characters of the terminal are replaced everywhere."""
     for character in ("\x1b", "\x07", "\x85", "\u202e", "\ud800"):
         hostile = f"a{character}[31mb"
         robot = Robot(ml.load_robot("planar3").pinocchio_model, name=hostile, warnings=[hostile], locked={hostile: 1.0})
         assert robot.warnings == (f"a{ascii(character)[1:-1]}[31mb",)
-        for said in (repr(robot), robot._repr_html_(), *robot.warnings):
-            assert character not in said and "[31mb" in said or said == repr(robot)
+        assert all(character not in text for text in (repr(robot), robot._repr_html_()))
     card = html_card.card("<b>x", html_card.facts([("<script>", "a & b")]), html_card.warnings(["<i>"]))
-    assert "<script>" not in card and Balanced(card).text.count("<") == 3
+    assert "<script>" not in card and "".join(ElementTree.fromstring(card).itertext()).count("<") == 3

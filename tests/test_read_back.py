@@ -23,30 +23,25 @@ from manip_learn.recordings.writers.write_motion import write_motion
 # words that run, end a line, or turn into numbers where they are pasted into a program or a table
 EVIL = "2e5 tip'\" : {no}] # \\ end"
 JOINTS = ("no", "1e5", "~", "a 'b\"", "2e3: x", "off")
-OFFSETS = ("0 0 0.16", "0 0.13 0.1", "0 -0.1 0.42", "0.02 0 0.39", "0 0.1 0.02", "0 0.03 0.09")
-AXES = ("0 0 1", "0 1 0", "0 1 0", "0 1 0", "0 0 1", "0 1 0")
 
 
 @pytest.fixture(scope="module")
 def robot(tmp_path_factory) -> ml.Robot:
-    """Six joints between `base` and `tool0`, both apart from the root and the hand; names as nobody should choose."""
-    chain = ["base", *(f"link {i} {EVIL}" for i in range(6))]
-    limit = '<axis xyz="{}"/><limit lower="-3" upper="3" velocity="2" effort="50"/>'
-    joints = [
-        (name, "revolute", a, b, xyz, "0 0 0.1", limit.format(axis))
-        for name, a, b, xyz, axis in zip(JOINTS, chain[:-1], chain[1:], OFFSETS, AXES, strict=True)
-    ]
-    joints.append(("fixed 0", "fixed", "root", "base", "0.1 -0.2 0.3", "0 0 0.7", ""))
-    joints.append(("fixed 1", "fixed", chain[-1], "tool0", "0 0.08 0.02", "-1.57 0 0", ""))
-    joints.append(("fixed 2", "fixed", "tool0", EVIL, "0.03 0.02 0.11", "0.2 0.3 -0.4", ""))
-    named = "".join(f"<link name={quoteattr(name)}/>" for name in ("root", *chain, "tool0", EVIL))
-    named += "".join(
-        f'<joint name={quoteattr(name)} type="{kind}"><parent link={quoteattr(a)}/><child link={quoteattr(b)}/>'
-        f'<origin xyz="{xyz}" rpy="{rpy}"/>{rest}</joint>'
-        for name, kind, a, b, xyz, rpy, rest in joints
+    """A UR5 apart from the root, and a hand apart from its flange; all names as nobody should choose."""
+    ur5 = ml.load_robot("ur5")
+    assert ur5.source is not None
+    text = ur5.source.read_text(encoding="utf-8").replace('<robot name="ur5"', f"<robot name={quoteattr(EVIL)}")
+    for name, hostile in zip(ur5.joint_names, JOINTS, strict=True):
+        text = text.replace(f'"{name}"', quoteattr(hostile))
+    placed = '<child link="base_link"/><origin xyz="0.1 -0.2 0.3" rpy="0 0 0.7"/>'
+    text, number = re.subn(r'<child link="base_link"/>\s*<origin[^>]*/>', placed, text)
+    assert number == 1
+    hand = (
+        f'<link name={quoteattr(EVIL)}/><joint name="hand" type="fixed"><parent link="tool0"/>'
+        f'<child link={quoteattr(EVIL)}/><origin xyz="0.03 0.02 0.11" rpy="0.2 0.3 -0.4"/></joint></robot>'
     )
     path = tmp_path_factory.mktemp("hostile") / "arm.urdf"
-    path.write_text(f"<robot name={quoteattr(EVIL)}>{named}</robot>", encoding="utf-8")
+    path.write_text(text.replace("</robot>", hand), encoding="utf-8")
     return ml.load_robot(path)
 
 
@@ -80,7 +75,7 @@ class Program:
     def __init__(self, text: str):
         self.lines = [line.split("#")[0].strip() for line in text.splitlines()]
         self.tcp, self.flange = np.eye(4), np.eye(4)
-        self.known: dict[str, Any] = {
+        self.variables: dict[str, Any] = {
             "p": Poses(),
             "pose_trans": lambda a, b: pose(matrix(a) @ matrix(b)),
             "pose_inv": lambda a: pose(np.linalg.inv(matrix(a))),
@@ -88,19 +83,19 @@ class Program:
             "get_actual_tcp_pose": lambda: pose(self.flange @ self.tcp),
         }
         for i, line in enumerate(self.lines):
-            if found := re.fullmatch(r"def (\w+)\((\w+(?:, \w+)*)\):", line):
+            if match := re.fullmatch(r"def (\w+)\((\w+(?:, \w+)*)\):", line):
                 body = self.lines[i + 1 : self.lines.index("end", i)]
-                self.known[found[1]] = partial(self.returned, body, found[2].split(", "))
-            elif found := re.fullmatch(r"set_tcp\((.*)\)", line):
-                self.tcp = matrix(self.value(found[1]))
-            elif found := re.fullmatch(r"global (\w+) = ([p\[].*)", line):
-                self.known[found[1]] = self.value(found[2])
+                self.variables[match[1]] = partial(self.call, body, match[2].split(", "))
+            elif match := re.fullmatch(r"set_tcp\((.*)\)", line):
+                self.tcp = matrix(self.value(match[1]))
+            elif match := re.fullmatch(r"global (\w+) = ([p\[].*)", line):
+                self.variables[match[1]] = self.value(match[2])
 
     def value(self, text: str, local: dict[str, Any] | None = None) -> Any:
-        return eval(text, self.known | (local or {}))
+        return eval(text, self.variables | (local or {}))
 
-    def returned(self, body: list[str], names: list[str], *given: Any) -> Any:
-        local = dict(zip(names, given, strict=True))
+    def call(self, body: list[str], names: list[str], *arguments: Any) -> Any:
+        local = dict(zip(names, arguments, strict=True))
         for line in body:
             name, _, text = line.partition(" = ")
             if line.startswith("return "):
@@ -111,9 +106,9 @@ class Program:
     @property
     def force_frame(self) -> np.ndarray:
         (called,) = (line for line in self.lines if line.startswith("force_mode("))
-        found = re.fullmatch(r"force_mode\((.*), selection, push, 2, limits\)", called)
-        assert found is not None
-        return matrix(self.value(found[1]))
+        match = re.fullmatch(r"force_mode\((.*), selection, push, 2, limits\)", called)
+        assert match is not None
+        return matrix(self.value(match[1]))
 
 
 def test_urscript_computes_the_task_frame(robot):
@@ -133,7 +128,7 @@ def test_urscript_computes_the_task_frame(robot):
             base, frame = np.linalg.inv(robot.pose(q, "base")), constraint.task_frame(q)
             program.flange = base @ robot.pose(q, "tool0")
             with case(turns, q.tolist()):
-                hand = matrix(program.known["get_actual_tcp_pose"]())
+                hand = matrix(program.variables["get_actual_tcp_pose"]())
                 np.testing.assert_allclose(hand, base @ robot.pose(q, EVIL), atol=1e-7)
                 now, wanted = program.force_frame, base @ frame.pose
                 np.testing.assert_allclose(now[:3, :3], wanted[:3, :3], atol=1e-6)
@@ -141,10 +136,14 @@ def test_urscript_computes_the_task_frame(robot):
                     assert np.linalg.norm(np.cross(now[:3, 3] - wanted[:3, 3], wanted[:3, 2])) < 1e-6
                 else:
                     np.testing.assert_allclose(now[:3, 3], wanted[:3, 3], atol=1e-6)
-                given = force_mode(constraint, q)
-                np.testing.assert_allclose(matrix(given["task_frame"]), wanted, atol=1e-7)
-                assert program.known["selection"] == given["selection_vector"] == [int(h) for h in frame.along("held")]
-                for held, limit in zip(program.known["selection"], program.known["limits"], strict=True):
+                expected = force_mode(constraint, q)
+                np.testing.assert_allclose(matrix(expected["task_frame"]), wanted, atol=1e-7)
+                assert (
+                    program.variables["selection"]
+                    == expected["selection_vector"]
+                    == [int(h) for h in frame.along("held")]
+                )
+                for held, limit in zip(program.variables["selection"], program.variables["limits"], strict=True):
                     assert limit == (0.25 if held else 0.01)
     text = urscript(constraints["no"], ways[0])
     code = [line for line in text.splitlines() if not line.strip().startswith("#")]

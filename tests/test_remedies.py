@@ -5,7 +5,6 @@ next sentence is another one; for what is wrong, and for names of joints in file
 from __future__ import annotations
 
 import json
-import os
 import re
 import shlex
 from collections.abc import Callable, Sequence
@@ -18,12 +17,9 @@ import scipy.io
 from case import case
 from recording_corpus import GOOD, JOINTS, TABLE, TIME, VELOCITIES, Q, csv, npz, refusal, text
 from recording_formats import (
-    ENV_ARGS,
-    ROS2,
     START,
     STEPS,
     Build,
-    Writer2,
     all_in_one,
     archive,
     dataset,
@@ -46,9 +42,10 @@ from manip_learn.cli import main
 
 RADIANS = ("--units", "radians")
 NAMED = ("--joint-names", ",".join(JOINTS))
-QPOS = {"dtype": "float32", "shape": [3], "names": list(JOINTS)}
+QPOS, MOVING = {"qpos": {"dtype": "float32", "shape": [3], "names": list(JOINTS)}}, pa.array(motion(0).tolist())
 HEAD = "time,joint1,joint2,joint3"
 OTHER = 0.5 * Q + 0.1  # of a second arm
+STAMPS = [START + int(step) for step in STEPS]  # [ns]
 # a flag, and its value: a word, or what stands in quotes
 FLAG = r"--[a-z][a-z-]*(?: (?:'[^']*'|[^\s'-][^\s;]*(?<![:.,;])))?"
 RUN = re.compile(rf"(?<![\w-]){FLAG}(?: {FLAG})*")
@@ -85,18 +82,10 @@ def bag(*streams: list[Any]) -> Build:
     return bag_of("mcap", *streams)
 
 
-def chatter(folder: Path) -> Path:
-    with Writer2(folder / "bag", version=9) as writer:
-        connection = writer.add_connection("/chatter", "std_msgs/msg/String", typestore=ROS2)
-        message = ROS2.types["std_msgs/msg/String"]("hello")
-        writer.write(connection, 1, ROS2.serialize_cdr(message, "std_msgs/msg/String"))
-    return folder / "bag"
-
-
 def shuffled(folder: Path) -> Path:
     """Stamps in no order at all, received in one."""
-    order = np.random.default_rng(0).permutation(len(STEPS))
-    parts: list[Any] = [(t, START + int(STEPS[k]), c) for k, (t, _, c) in zip(order, all_in_one(), strict=True)]
+    received = np.random.default_rng(0).permutation(STAMPS)
+    parts: list[Any] = [(t, int(at), c) for at, (t, _, c) in zip(received, all_in_one(), strict=True)]
     return write_bag(folder / "bag", "mcap", parts)
 
 
@@ -110,7 +99,7 @@ def lerobot(described: Any = None, drop: tuple[str, ...] = (), **more: Any) -> B
 
 
 def without_a_file(folder: Path) -> Path:
-    root = version_2(folder / "set", list(JOINTS))
+    root = version_2(folder / "set")
     (root / "data/chunk-000/episode_000010.parquet").unlink()
     (root / "meta/info.json").write_text(json.dumps({**info(list(JOINTS)), "total_episodes": 4}))
     return root
@@ -120,10 +109,8 @@ def without_a_file(folder: Path) -> Path:
 REFUSED: dict[str, tuple[str, Build, tuple[str, ...]]] = {
     "a table without a header": ("no-header", one("a.csv", text(csv(TABLE).partition("\n")[2])), ()),
     "a table without stamps": ("no-time", table(",".join(JOINTS), Q), ()),
-    "a stamp by an odd name": ("no-time", table("zeit," + ",".join(JOINTS), TABLE), ()),
     "a misspelt stamp": ("no-time", table("tmie," + ",".join(JOINTS), TABLE), ()),
     "numbered columns": ("numbered-columns", table("time,q_0,q_1,q_2", TABLE), ()),
-    "several patterns": ("columns", table("time,a.joint1,a.joint2,a.joint3,b.joint1,b.joint2,b.joint3", TABLE, Q), ()),
     "a column of something else": ("unknown-column", table(HEAD + ",force", TABLE, TIME), ()),
     "a misspelt joint": ("missing-joint", table("time,joint1,joint2,joint_3", TABLE), ()),
     "a joint that stood still": ("missing-joint", table("time,joint1,joint2", TABLE[:, :3]), ()),
@@ -132,22 +119,14 @@ REFUSED: dict[str, tuple[str, Build, tuple[str, ...]]] = {
     "far outside the limits": ("outside-limits", table(HEAD, TIME, Q + [0.0, 900.0, 0.0]), ()),
     "an archive without stamps": ("no-time", archive(time=None, u=None), ()),
     "an archive without names": ("no-joint-names", archive(joint_names=None, u=None), ()),
-    "an archive of another name": (
-        "missing-array",
-        one("a.npz", npz(time=TIME, measured=Q, other=Q, joint_names=JOINTS)),
-        (),
-    ),
+    "another name": ("missing-array", one("a.npz", npz(time=TIME, measured=Q, other=Q, joint_names=JOINTS)), ()),
     "too few names": ("shape", archive(joint_names=None, u=None), ("--joint-names", "joint1,joint2")),
     "several topics": ("ambiguous-topic", bag(all_in_one(topic="/real"), all_in_one(topic="/other")), ()),
     "names that change": ("unsteady-names", bag(CHANGING, all_in_one(topic="/real")), ()),
     "no order in a bag": ("time-order", shuffled, ()),
     "no units": ("units", lerobot(), ()),
     "no names of motors": ("no-joint-names", lerobot(info(None)), RADIANS),
-    "another feature": (
-        "no-state",
-        lerobot({"codebase_version": "v2.1", "fps": 50, "features": {"qpos": QPOS}}, qpos=pa.array(motion(0).tolist())),
-        RADIANS,
-    ),
+    "another feature": ("no-state", lerobot({**info(None), "features": QPOS}, qpos=MOVING), RADIANS),
     "stamps against fps": ("fps", lerobot(timestamp=pa.array(np.arange(80) / 30.0)), RADIANS),
     "no rate": ("no-time", lerobot({**info(list(JOINTS)), "fps": None}, drop=("timestamp",)), RADIANS),
     "a file is missing": ("lost-samples", without_a_file, RADIANS),
@@ -159,14 +138,12 @@ TO_DO: dict[str, tuple[str, Build, tuple[str, ...], str]] = {
     "velocities only": ("no-positions", table("time" + VELOCITIES, TABLE), (), "record positions too"),
     "no overlap": (
         "no-overlap",
-        bag(some("/joint_states", (0, 1)), some("/joint_states", (2,), late=60_000_000_000)),
+        bag(some("/a", (0, 1)), some("/b", (2,), late=6 * 10**10)),
         (),
         "record them together",
     ),
-    "no joint states": ("no-joint-states", chatter, (), "record /joint_states"),
+    "no joint states": ("no-joint-states", bag_of("mcap", foreign="uint8 x\n"), (), "record /joint_states"),
     "radians called degrees": ("degrees", one("a.csv", text(GOOD)), ("--degrees",), "leave --degrees out"),
-    "a link to itself": ("unreadable", one("a.csv", lambda path: path.symlink_to(path)), (), "cannot be opened"),
-    "a pipe": ("not-a-file", one("a.csv", lambda path: os.mkfifo(path)), (), "write it to a file first"),
 }
 
 
@@ -192,9 +169,7 @@ Write = Callable[[Path, Sequence[str], np.ndarray], tuple[Path, list[str]]]
 
 def in_bag(kind: str) -> Write:
     def write(folder: Path, names: Sequence[str], q: np.ndarray) -> tuple[Path, list[str]]:
-        messages: list[Any] = [
-            ("/joint_states", START + int(s), (START + int(s), names, x)) for s, x in zip(STEPS, q, strict=True)
-        ]
+        messages: list[Any] = [("/joint_states", s, (s, names, x)) for s, x in zip(STAMPS, q, strict=True)]
         return write_bag(folder / "bag", kind, messages), []
 
     return write
@@ -224,54 +199,33 @@ def csv_file(path: Path, names: Sequence[str], q: np.ndarray) -> None:
     table(",".join(["time", *(f'"{n}"' for n in names)]), TIME, q, name=path.name)(path.parent)
 
 
-def hdf5(path: Path, arrays: dict[str, Any], kind: bytes = b"", **more: Any) -> None:
-    """A file of arrays, of MATLAB where they have a class."""
-    with h5py.File(path, "w", **more) as file:
-        for name, array in arrays.items():
-            made = file.create_dataset(name, data=array.T if kind else array)
-            if kind:
-                made.attrs["MATLAB_class"] = np.bytes_(kind)
-
-
-def of_robomimic(path: Path, names: Sequence[str], q: np.ndarray) -> None:
-    with h5py.File(path, "w") as file:
-        file.create_group("data").attrs["env_args"] = ENV_ARGS
-        file["data/demo_0/obs/robot0_joint_pos"] = q
-
-
 def of_matlab_5(path: Path, names: Sequence[str], q: np.ndarray) -> None:
     content = {"t": TIME, "q": q.T, "joint_names": np.array(names, dtype=object), "x": q[:, :3]}
     scipy.io.savemat(path, {"demos": {"first": content}}, do_compression=True)
 
 
 def of_matlab_7(path: Path, names: Sequence[str], q: np.ndarray) -> None:
-    hdf5(path, {"log/t": TIME[:, None], "log/q": q, "log/ee_pos": q}, b"double", userblock_size=512)
+    with h5py.File(path, "w", userblock_size=512) as file:
+        for name, array in {"log/t": TIME[None, :], "log/q": q.T, "log/ee_pos": q.T}.items():
+            file.create_dataset(name, data=array).attrs["MATLAB_class"] = np.bytes_("double")
     with path.open("r+b") as file:
         file.write(b"MATLAB 7.3 MAT-file, Platform: GLNXA64".ljust(512, b" "))
 
 
 def of_aloha(path: Path, names: Sequence[str], q: np.ndarray) -> None:
-    observed = {"observations/qpos": q, "observations/qvel": np.gradient(q, 0.02, axis=0)}
-    hdf5(path, observed | {"action": q + 0.1, "observations/images": np.zeros((60, 4, 4, 3), np.uint8)})
+    with h5py.File(path, "w") as file:
+        file["observations/qpos"], file["observations/qvel"] = q, np.gradient(q, 0.02, axis=0)
+        file["action"], file["observations/images"] = q + 0.1, np.zeros((60, 4, 4, 3), np.uint8)
 
 
 WRITERS: dict[str, Write] = {
     "CSV": in_file("demo.csv", csv_file),
     "NPZ": in_file("demo.npz", lambda path, names, q: np.savez(path, time=TIME, q=q, joint_names=np.array(names))),
     **{kind: in_bag(kind) for kind in ("ros1", "sqlite", "mcap")},
-    "LeRobot": data_set(list),
     "LeRobot, nested": data_set(lambda names: [list(names)]),
     "LeRobot, motors": data_set(lambda names: {"motors": [f"{n}.pos" for n in names]}),
-    "robomimic": in_file("demo.hdf5", of_robomimic, "--joint-names", "{}"),
-    "NPZ without names": in_file(
-        "demo.npz",
-        lambda path, names, q: np.savez(path, timestamps=TIME, joint_positions=q, tcp_pos=q),
-        *("--joint-names", "{}"),
-    ),
     "a bare array": in_file(
-        "demo.npy",
-        lambda path, names, q: np.save(path, np.column_stack([q, TIME, TIME])),
-        *("--joint-names", "{},time,-"),
+        "demo.npy", lambda path, _, q: np.save(path, np.column_stack([q, TIME, TIME])), "--joint-names", "{},time,-"
     ),
     "MATLAB 5": in_file("demo.mat", of_matlab_5),
     "MATLAB 7.3": in_file("demo.mat", of_matlab_7, "--joint-names", "{}"),
@@ -280,10 +234,7 @@ WRITERS: dict[str, Write] = {
 # how the joints are called in the file
 CALLED: dict[str, tuple[str, ...]] = {
     "a prefix": tuple(f"left_{j}" for j in JOINTS),
-    "a name space": tuple(f"robot1/{j}" for j in JOINTS),
-    "a suffix": tuple(f"{j}_l" for j in JOINTS),
-    "both": tuple(f"arm-{j}:0" for j in JOINTS),
-    "another word": ("fr3_joint1", "fr3_joint2", "fr3_joint3"),
+    "a prefix and a suffix": tuple(f"arm-{j}:0" for j in JOINTS),
     "capitals": ("Joint1", "Joint2", "Joint3"),
     "a letter for the word": ("J1", "J2", "J3"),
     "counted from 0": ("q[0]", "q[1]", "q[2]"),
@@ -294,19 +245,17 @@ CALLED: dict[str, tuple[str, ...]] = {
 
 
 @pytest.mark.parametrize("name", WRITERS)
-def test_what_is_offered_reads_the_file(name: str, capsys) -> None:
+def test_what_is_offered_reads_the_file(name: str, planar3: ml.Robot, capsys) -> None:
     """One refusal at most, and each way that it offers reads the joints of that arm: names of every kind in a table, a
     prefix and two arms in every format. A pointer of Git LFS is named, whichever file was not fetched.
     """
-    robot = ml.load_robot("planar3")
     for called in CALLED if name == "CSV" else ("a prefix", "two arms"):
         for way, q in enumerate([Q, OTHER] if called == "two arms" else [Q]):
             with case(called, way) as folder:
                 whole = np.hstack([Q, OTHER]) if called == "two arms" else Q
                 path, options = WRITERS[name](folder, CALLED[called], whole)
                 obeyed(path, folder / "out.csv", capsys, options, way, most=1)
-                read = ml.load_demonstrations(folder / "out.csv", robot)[0]
-                np.testing.assert_allclose(read.q, q, atol=1e-6)
+                np.testing.assert_allclose(ml.load_demonstrations(folder / "out.csv", planar3)[0].q, q, atol=1e-6)
     if name == "a bare array":
         return
     with case(name) as folder:
@@ -314,14 +263,14 @@ def test_what_is_offered_reads_the_file(name: str, capsys) -> None:
         for victim in [good] if good.is_file() else [p for p in good.rglob("*") if p.is_file()]:
             content = victim.read_bytes()
             victim.write_text("version https://git-lfs.github.com/spec/v1\noid sha256:00\nsize 9\n")
-            assert refusal(good, robot, units="radians").code == "git-lfs", victim.name
+            assert refusal(good, planar3, units="radians").code == "git-lfs", victim.name
             victim.write_bytes(content)
 
 
-def lines(header: str, *after: str, first: Callable[[int], str] = lambda i: "", end: str = "") -> str:
-    """A table of stamps and positions with something before and after each row."""
+def lines(header: str, first: Callable[[int], str] = lambda i: "", end: str = "") -> str:
+    """Return a table of stamps and positions with something before and after each row."""
     body = [first(i) + ",".join(f"{x:.17g}" for x in row) + end for i, row in enumerate(np.column_stack([TIME, Q]))]
-    return "\n".join([header, *body, *after, ""])
+    return "\n".join([header, *body, ""])
 
 
 BARE = "\n".join(" ".join(f"{x:.17g}" for x in row) for row in Q) + "\n"
@@ -330,9 +279,7 @@ TABLES: dict[str, tuple[str, list[str]]] = {
     "a comma at each line's end": (lines(HEAD + ",", end=","), []),
     "a comma at each row's end": (lines(HEAD, end=","), []),
     "R, names of rows": (lines('"time","joint1","joint2","joint3"', first=lambda i: f'"{i + 1}",'), []),
-    "R, names of rows without quotes": (lines(HEAD, first=lambda i: f"{i + 1},"), []),
     "R, a name of the names": (lines('"",' + HEAD, first=lambda i: f'"{i + 1}",'), []),
-    "row numbers without a name": (lines("," + HEAD, first=lambda i: f"{i},"), []),
     "row numbers of a part": (lines("," + HEAD, first=lambda i: f"{i + 500},"), []),
     "names with commas": (lines('"time","a,joint1","a,joint2","a,joint3"'), []),
     "a name with a comma beside the joints": (lines(f'{HEAD},"x, y"', end=",1.5"), ["--columns", "{joint}"]),
@@ -345,7 +292,7 @@ TABLES: dict[str, tuple[str, list[str]]] = {
 
 
 @pytest.mark.parametrize("name", TABLES)
-def test_tables_of_other_programs_are_read(name: str, tmp_path: Path, capsys) -> None:
+def test_tables_of_other_programs_are_read(name: str, planar3: ml.Robot, tmp_path: Path, capsys) -> None:
     """Positions and stamps are those that were written; without the options a refusal says what to type."""
     content, options = TABLES[name]
     (path := tmp_path / "demo.csv").write_text(content)
@@ -353,24 +300,20 @@ def test_tables_of_other_programs_are_read(name: str, tmp_path: Path, capsys) ->
         offered = {word for way in advised(said(path, tmp_path / "out.csv", [], capsys)["message"]) for word in way}
         assert offered >= {word for word in options if word.startswith("--")}
     assert not said(path, tmp_path / "out.csv", options, capsys)
-    read = ml.load_demonstrations(tmp_path / "out.csv", ml.load_robot("planar3"))[0]
+    read = ml.load_demonstrations(tmp_path / "out.csv", planar3)[0]
     np.testing.assert_array_equal(read.q, Q)
     np.testing.assert_allclose(read.time, TIME, atol=1e-9)
 
 
-def test_patterns_of_names_in_python(tmp_path: Path) -> None:
-    """A text, or a mapping of patterns; what is no pattern, or changes the number of joints, is refused. Joint 12 is
-    not joint 1 misspelt: only the robot's order is offered, as something that the user must know.
+def test_patterns_of_names_in_python(planar3: ml.Robot, tmp_path: Path) -> None:
+    """`rename` takes a text or a mapping of patterns; anything else, or another number of joints, is refused. Joint 12
+    is not joint 1 misspelt: only the robot's order is offered, which the user must confirm.
     """
-    robot = ml.load_robot("planar3")
     path, _ = WRITERS["NPZ"](tmp_path, CALLED["a prefix"], Q)
-    for rename in ("left_{joint}", {"left_{joint}": "{joint}"}, {"left_joint{joint}": "joint{joint}"}):
-        np.testing.assert_array_equal(ml.load_demonstrations(path, robot, rename=rename)[0].q, Q)
+    for rename in ("left_{joint}", {"left_joint{joint}": "joint{joint}"}):
+        np.testing.assert_array_equal(ml.load_demonstrations(path, planar3, rename=rename)[0].q, Q)
     for rename in ("left_", {"left_{joint}": "joint1"}, {"left_joint{index}": "joint1"}, {"left_{joint}": 3}):
-        assert refusal(path, robot, rename=rename).code == "option"
-    assert "left_{joint}" in str(refusal(path, robot))
-    assert "no joint '{joint}_x'" in str(refusal(path, robot, rename={"left_{joint}": "{joint}_x"}))
-    for k, called in enumerate((("joint11", "joint12", "joint13"), ("elbow", "a", "b"))):
-        (tmp_path / str(k)).mkdir()
-        heard = str(refusal(in_bag("mcap")(tmp_path / str(k), called, Q)[0], robot))
-        assert "reads" not in heard and "if it is this one and they are in its order" in heard, heard
+        assert refusal(path, planar3, rename=rename).code == "option"
+    assert "no joint '{joint}_x'" in str(refusal(path, planar3, rename={"left_{joint}": "{joint}_x"}))
+    heard = str(refusal(in_bag("mcap")(tmp_path, ("joint11", "joint12", "joint13"), Q)[0], planar3))
+    assert "reads" not in heard and "if it is this one and they are in its order" in heard, heard

@@ -149,9 +149,9 @@ def refused(n: int, **settings) -> NotIdentifiableError:
 def test_advice_names_each_likely_cause():
     """Too few recordings, phases, joints that stay, slow motion: each has its advice, the likeliest two are said."""
     joint = arm_features().robot.joint_names[1]
-    few = "record at least 3, better 5, that differ in way and posture, not 2 recordings"
-    lock = f"move joint {joint} too, or lock what shall hardly move (load_robot(..., locked=['{joint}']))"
-    slow = "move faster, noise hides a motion in which no joint exceeds 0.01"
+    few = "record at least 3, better 5, with different paths and postures, not 2 recordings"
+    lock = f"move joint {joint} too, or lock joints that should not move (load_robot(..., locked=['{joint}']))"
+    slow = "move faster: encoder noise hides a motion in which no joint exceeds 0.01"
     cut = "cut the recordings to the contact"
     said = refused(2)
     assert said.advice[0] == few and str(said).startswith(f"{few}; or {said.advice[1]}. ")

@@ -1,14 +1,19 @@
-"""Tracks, marks, mechanisms and evidence of a replay: the page's numbers are the library's own."""
+"""Tracks, marks, mechanisms, evidence, obstacles and warnings of a replay: the page's numbers are the library's own."""
 
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
+import pinocchio as pin
 import pytest
-from test_playback import data_in, unpacked
+from test_playback import data_in, unpacked, waving
 
 import manip_learn as ml
+from manip_learn.cli import main
+from manip_learn.commands import tables
+from manip_learn.commands.output import Answer
 from manip_learn.constraint.features import MechanismRows, RelativeFrameJacobian
 from manip_learn.errors import RecordingError, TargetError
 from manip_learn.playback.replay_page import evidence_of
@@ -55,8 +60,8 @@ def rollout(robot_of, drawer) -> ml.Rollout:
     return ml.simulate(robot_of("sawyer"), controller, START, 1.0, 0.01)
 
 
-def test_the_fit_is_that_of_each_phase(drawer, rollout, shown):
-    """Within a phase its own constraint counts, outside the first; where none is known, or b != 0, there is no fit."""
+def test_fit_uses_the_constraint_of_each_phase(drawer, rollout, shown):
+    """Within a phase its own constraint counts, outside the first; without one, or if b != 0, there is no fit."""
     robot = drawer.features.robot
     demo = ml.Trajectory(rollout.time, rollout.q, rollout.u, robot.joint_names, "demo")
     other = ml.Constraint([[1.0, 0.0, 0.0]], drawer.features)
@@ -70,8 +75,7 @@ def test_the_fit_is_that_of_each_phase(drawer, rollout, shown):
             A, u = (other if 0.4 <= t <= 0.6 else drawer)(rollout.q[i]), rollout.u[i]
             assert share == pytest.approx(np.linalg.norm(np.linalg.pinv(A) @ A @ u) / np.linalg.norm(u), rel=1e-5)
     imposed = ml.Constraint(drawer.selection, drawer.features, {"kind": "self-imposed"})
-    page = shown(robot, demo, constraint=imposed)
-    assert "fit" not in [t["kind"] for t in page["measures"]["tracks"]]
+    assert "fit" not in [track["kind"] for track in shown(robot, demo, constraint=imposed)["measures"]["tracks"]]
 
 
 def test_recordings_without_velocities_show_derived_ones(robot_of, rollout, shown):
@@ -86,85 +90,65 @@ def test_recordings_without_velocities_show_derived_ones(robot_of, rollout, show
     assert [t["kind"] for t in page["measures"]["tracks"]] == ["position"]
 
 
-def ranks(directions) -> list[int]:
-    """How many directions are held, free, held in turning, free in turning."""
-    names = "held", "free", "held_turns", "free_turns"
-    return [round(float(np.trace(np.atleast_3d(getattr(directions, n)).reshape(-1, 3, 3)[0]))) for n in names]
-
-
 def test_directions_held_and_free(robot_of):
-    """A drawer, a surface, rows along the hand's own axes, a plane robot, and rows that turn as they move."""
+    """A drawer, rows along the hand's own axes, a plane robot, a hinge, rows that turn as they move, and relative
+    motion.
+    """
     robot, planar = robot_of("sawyer"), robot_of("planar3")
     hand, seen_from = robot.frame("right_hand"), robot.frame("right_l2")
     here = robot.position(START, hand)[None]
     xyz, local, pose = (ml.FrameJacobian(robot, hand, *axes) for axes in (("xyz",), ("xyz", "local"), ("pose",)))
-    about_x = MechanismRows(robot, "right_hand", "turn", axis=[1.0, 0.0, 0.0], point=[0.0, 0.0, 0.0])
-    leaks = [np.array([[1.0, 0, 0, 0, turn, 0]]) / np.hypot(1.0, turn) for turn in (0.09, 0.11)]
-    x, z = np.diag([1.0, 0.0, 0.0]), np.diag([0.0, 0.0, 1.0])
+    hinge, turn = (
+        MechanismRows(robot, "right_hand", rows, axis=[1.0, 0.0, 0.0], point=here[0] - [0.0, 0.0, 0.3])
+        for rows in ("radial axial", "turn")
+    )
+    x, y, z = (np.diag(axis) for axis in np.eye(3))
     for rows, features, expected, axes, exact in (
         ([[0, 1, 0], [0, 0, 1]], xyz, [2, 1, 0, 0], None, {"free": x}),
         ([[0, 0, 1]], local, [1, 2, 0, 0], hand, {}),
         (np.eye(6)[[2, 3, 4]], pose, [1, 2, 2, 1], None, {"free_turns": z}),
-        # moving along x alone breaks it only without the turn that goes with it
-        ([[1, 0, 0, 0, 1, 0]], pose, [0, 3, 0, 3], None, {}),
-        (leaks[0], pose, [1, 2, 0, 3], None, {}),  # a learnt row leaks by its uncertainty
-        (leaks[1], pose, [0, 3, 0, 3], None, {}),
-        ([[1.0]], about_x, [0, 3, 1, 2], None, {"held_turns": x}),
+        # a learnt row leaks by its uncertainty; with more, motion along x alone breaks it only without its rotation
+        ([[1, 0, 0, 0, 0.09, 0]], pose, [1, 2, 0, 3], None, {}),
+        ([[1, 0, 0, 0, 0.11, 0]], pose, [0, 3, 0, 3], None, {}),
+        (np.eye(2), hinge, [2, 1, 0, 0], None, {"free": y, "held": x + z}),
+        ([[1.0]], turn, [0, 3, 1, 2], None, {"held_turns": x}),
         (np.eye(3)[:1], ml.FrameJacobian(planar, "tip", "planar"), [1, 1, 0, 1], None, {}),
         ([[0, 0, 1]], RelativeFrameJacobian(robot, hand, seen_from, "xyz"), [1, 2, 0, 0], seen_from, {}),
     ):
-        found = held_directions(ml.Constraint(rows, features), here)
-        assert ranks(found) == expected and found.axes == axes, (rows, features)
+        rows = np.array(rows, dtype=float)
+        rows /= np.linalg.norm(rows, axis=1, keepdims=True)
+        directions = held_directions(ml.Constraint(rows, features), here)
+        names = "held", "free", "held_turns", "free_turns"
+        projectors = {name: np.reshape(getattr(directions, name), (-1, 3, 3))[0] for name in names}
+        assert [round(np.trace(P)) for P in projectors.values()] == expected and directions.axes == axes, rows
         for name, matrix in exact.items():
-            np.testing.assert_allclose(np.reshape(getattr(found, name), (-1, 3, 3))[0], matrix, atol=1e-12)
-
-
-@pytest.mark.parametrize("rows", ["radial axial", "turn-1 turn-2 slide-1 slide-2 slide"])
-def test_a_hinge_leaves_its_tangent_free_everywhere(robot_of, rows):
-    """On each place of the circle, near the axis too, the tangent is free and what is across it is held."""
-    robot = robot_of("sawyer")
-    axis, point = np.array([0.0, 0.6, 0.8]), np.array([0.4, 0.1, 0.3])
-    features = MechanismRows(robot, "right_hand", rows, axis=axis, point=point)
-    arm = np.cross(axis, [1.0, 0.0, 0.0])
-    places = np.array([point + r * arm + 0.1 * axis for r in (0.02, 0.3, 1.5)])
-    directions = held_directions(ml.Constraint(np.eye(features.n_rows), features), places)
-    assert directions is not None and directions.free.shape == (3, 3, 3)
-    tangent = np.cross(axis, arm)
-    for held, free in zip(directions.held, directions.free, strict=True):
-        np.testing.assert_allclose(free, np.outer(tangent, tangent), atol=1e-9)
-        np.testing.assert_allclose(held, np.eye(3) - free, atol=1e-9)
-    if "turn-1" in rows:
-        np.testing.assert_allclose(directions.free_turns[0], np.outer(axis, axis), atol=1e-9)
+            np.testing.assert_allclose(projectors[name], matrix, atol=1e-9)
 
 
 def test_the_target_is_where_the_task_wants_the_tip(drawer, rollout, shown, tmp_path):
-    """From the rollout's file, from the argument, along the rows, as a pose, seen from a frame that moves."""
+    """It comes from the rollout's file or the argument: a place, a pose, values of the rows, or in a moving frame."""
     robot = drawer.features.robot
     saved = ml.Rollout.load(rollout.save(tmp_path / "r.npz"), robot)
-    target = lambda **given: shown(robot, saved, **given)["marks"][0]["target"]  # noqa: E731
-    assert target() == {"carrier": None, "point": pytest.approx(TARGET)}
-    pose = np.eye(4)
-    pose[:3, 3] = 0.4, 0.5, 0.6
-    assert target(target=[0.1, 0.2, 0.3])["point"] == [0.1, 0.2, 0.3] and target(target=pose)["point"] == [
-        0.4,
-        0.5,
-        0.6,
-    ]
+    target_of = lambda **given: shown(robot, saved, **given)["marks"][0]["target"]  # noqa: E731
+    assert target_of() == {"carrier": None, "point": pytest.approx(TARGET)}
+    pose = pin.SE3(np.eye(3), np.array([0.4, 0.5, 0.6])).homogeneous
+    for given, point in (([0.1, 0.2, 0.3], [0.1, 0.2, 0.3]), (pose, [0.4, 0.5, 0.6])):
+        assert target_of(target=given)["point"] == point
     rows = drawer.selection @ np.array(TARGET)
-    point = np.array(target(target=rows)["point"])
+    point = np.array(target_of(target=rows)["point"])
     np.testing.assert_allclose(drawer.selection @ point, rows, atol=1e-12)
     along, start = np.linalg.svd(drawer.selection)[2][2], robot.position(rollout.q[0], drawer.features.frame)
-    assert along @ point == pytest.approx(along @ start)  # nothing is said of what is free
+    assert along @ point == pytest.approx(along @ start)  # the free direction keeps its start
     seen = ml.Constraint(np.eye(3), RelativeFrameJacobian(robot, "right_gripper_tip", "right_l2", "xyz"))
-    carried = target(constraint=seen, target=[0.1, 0.0, 0.2])
+    carried = target_of(constraint=seen, target=[0.1, 0.0, 0.2])
     assert carried["point"] == [0.1, 0.0, 0.2] and carried["carrier"]["joint"] == robot.frame("right_l2").parent_joint
     for wrong in ("here", [np.nan, 0, 0]):
         with pytest.raises(TargetError, match="target to show"):
-            target(target=wrong)
+            target_of(target=wrong)
 
 
 def test_a_rollout_shows_its_own_constraint_and_mechanism(drawer, tmp_path):
-    """Also from its file; the evidence that its constraint keeps is in the page, and its frame is drawn."""
+    """The evidence, mechanism and frame that a rollout's constraint keeps are in the page, also from its file."""
     robot = drawer.features.robot
     line = {"type": "line", "axis": [0.91, 0.42, 0.0], "point": [0.6, 0.2, 0.3], "sentence": "a line"}
     learnt = {"kind": "motion-constrained", "sentence": "moves freely", "facts": {"gap": "12"}, "mechanism": line}
@@ -179,40 +163,32 @@ def test_a_rollout_shows_its_own_constraint_and_mechanism(drawer, tmp_path):
 
 
 def test_a_rollout_that_waits_is_ok_and_keeps_its_tracks(robot_of, rollout, tmp_path):
-    """One that grasps earlier waits at its start: nothing slows it there, and its following error is still shown."""
+    """A rollout that grasps earlier waits at its start: nothing slows it there, and its following error is shown."""
     way = {"name": "way", "wanted": 0.1, "done": 0.1, "unit": "m", "stopped_by": None}
     limited, error = ("velocity-limited",) * len(rollout), np.full(len(rollout), 1e-3)
     early = replace(rollout, ways=({**way, "begins": 0.2},), status=limited, following_error=error)
     late = replace(rollout, ways=({**way, "begins": 0.5},))
-    named = {"early": early, "late": late, "bare": replace(early, status=())}
-    data = page_of(robot_of("sawyer"), named, tmp_path, align="grasp")
-    waiting, _, bare = data["rollouts"]
+    data = page_of(robot_of("sawyer"), {"early": early, "late": late}, tmp_path, align="grasp")
+    waiting = data["rollouts"][0]
     assert data["zero"] == pytest.approx(0.5)
     assert waiting["status"] == [[0.0, "ok", "ok"], [pytest.approx(0.3), "velocity-limited", "slowed"]]
-    assert bare["status"] == []
     times, errors = curves_of(waiting, "following-error")[""]
     np.testing.assert_allclose(times[[0, 1, -1]], [0.0, 0.3, 0.3 + rollout.time[-1]])
     np.testing.assert_allclose(errors, 1e-3)
 
 
 def test_evidence_in_words():
-    """The report's own facts; rows with their verdicts; what is missing or damaged is left out."""
-    report = {
-        "sentence": "s", "kind": "motion-constrained", "facts": {"gap": "3,940 (10 is clear)"},
-        "row_evidence": [{"strength": 261.0, "p_value": 0.005, "state": "held"},
-                         {"strength": 2e7, "p_value": None, "state": "untried"}],
-        "evidence": "2 rows held", "warnings": ["w"], "odd_trajectories": [["a.csv", "moves 3 mm"]],
-    }  # fmt: skip
-    told = evidence_of(report)
-    assert told["facts"] == [["gap", "3,940 (10 is clear)"]]
-    assert told["rows"] == [
+    """The page has the report's facts, verdicts and warnings; missing or damaged parts are left out, long ones cut."""
+    rows = [{"strength": 261.0, "p_value": 0.005, "state": "held"}, {"strength": 2e7, "state": "untried"}]
+    evidence = evidence_of({"facts": {"gap": "3,940"}, "row_evidence": rows, "warnings": ["w"]})
+    assert evidence["facts"] == [["gap", "3,940"]] and evidence["warnings"] == ["w"] and evidence["kind"] == ""
+    assert evidence["rows"] == [
         ["row 1", "held", "261 times", "p = 0.005"],
         ["row 2", "not tried: nothing moved along it", "over a million times", ""],
     ]
-    assert told["odd"] == [["a.csv", "moves 3 mm"]] and told["warnings"] == ["w"] and told["kind"] == ""
     assert "b is not 0" in evidence_of({"kind": "self-imposed"})["kind"]
-    odd = {"facts": [3], "rows": 3, "row_evidence": "x", "warnings": None, "odd_trajectories": [3]}
-    assert evidence_of(odd)["facts"] == [] and evidence_of({})["headline"] == ""
+    damaged = {"facts": [3], "rows": 3, "row_evidence": "x", "warnings": None, "odd_trajectories": [3]}
+    assert evidence_of(damaged)["facts"] == [] and evidence_of({})["headline"] == ""
     long = evidence_of({"notes": ["x" * 3000] * 100, "odd_trajectories": [{"trajectory": "a", "reason": "b"}, ("c",)]})
     assert [len(note) for note in long["notes"]] == [2000] * 60 and long["odd"] == [["a", "b"]]
 
@@ -220,99 +196,143 @@ def test_evidence_in_words():
 # ---- what is drawn of a mechanism ------------------------------------------------------------------------------------
 
 AXIS, POINT, RADIUS = np.array([0.6, 0.0, 0.8]), np.array([0.3, -0.1, 0.2]), 0.4
-FIRST = np.array([0.8, 0.0, -0.6])  # across the axis
-SECOND = np.cross(AXIS, FIRST)
 
 
-def around(angle: np.ndarray, along: np.ndarray) -> np.ndarray:
-    """Points at a radius from the axis, shape (n, 3)."""
-    turned = np.cos(angle)[:, None] * FIRST + np.sin(angle)[:, None] * SECOND
-    return POINT + RADIUS * turned + along[:, None] * AXIS
-
-
-def described(kind: str, **more: object) -> dict[str, object]:
-    """A mechanism's dictionary; its axis is twice as long as it need be."""
-    return {"type": kind, "axis": (2.0 * AXIS).tolist(), "point": POINT.tolist(), **more}
-
-
-def in_the_axes(points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Distance from the axis, angle about it, and place along it."""
-    arm = points - POINT
-    x, y = arm @ FIRST, arm @ SECOND
-    return np.hypot(x, y), np.arctan2(y, x), arm @ AXIS
-
-
-def test_a_hinge_is_an_axis_and_a_circle() -> None:
-    """The circle lies in the middle of what was held; the axis is a quarter longer at each end, and 0.3 radii."""
-    held = around(np.linspace(0.2, 1.2, 30), np.linspace(-0.1, 0.3, 30))
-    axis, circle = mechanism_drawing(described("hinge", radius=RADIUS), held).lines
-    reach = 0.25 * 0.4 + 0.3 * RADIUS
-    np.testing.assert_allclose(axis, [POINT - (0.1 + reach) * AXIS, POINT + (0.3 + reach) * AXIS], atol=1e-12)
-    radius, angle, along = in_the_axes(circle)
-    np.testing.assert_allclose([radius, along], np.outer([RADIUS, 0.1], np.ones(len(circle))), atol=1e-12)
-    np.testing.assert_allclose(np.abs(np.diff(np.unwrap(angle))), np.deg2rad(3.75), atol=1e-9)
-    np.testing.assert_allclose(circle[0], circle[-1], atol=1e-12)
+SCREW = {"type": "screw", "axis": (2.0 * AXIS).tolist(), "point": POINT.tolist(), "radius": RADIUS}
+ANGLE = np.linspace(0.0, 2.0 * np.pi, 401)[:, None]
+CIRCLE = np.array([np.cos(ANGLE) * [0.8, 0.0, -0.6], np.sin(ANGLE) * [0.0, 1.0, 0.0]])  # its parts across the axis
 
 
 @pytest.mark.parametrize("pitch", [0.05, -0.08])
-def test_a_screw_is_a_helix_through_the_hand(pitch: float) -> None:
-    """Every point that was held lies on the helix, which begins and ends where they do, right- and left-handed."""
-    angle = np.linspace(0.5, 4.0, 400)
-    held = around(angle, pitch * angle)
-    _, helix = mechanism_drawing(described("screw", radius=RADIUS, pitch=pitch), held).lines
-    radius, turned, along = in_the_axes(helix)
-    np.testing.assert_allclose(radius, RADIUS, atol=1e-12)
-    np.testing.assert_allclose([along.min(), along.max()], np.sort(pitch * angle[[0, -1]]), atol=1e-12)
-    np.testing.assert_allclose(np.diff(along), pitch * np.diff(np.unwrap(turned)), atol=1e-9)
+def test_a_screw_is_an_axis_and_a_helix_through_the_hand(pitch: float) -> None:
+    """The axis is longer than the motion by a quarter or 0.06 m at each end, and 0.3 radii. The helix has at most 12
+    turns.
+    """
+    held = POINT + RADIUS * CIRCLE.sum(axis=0) + pitch * ANGLE * AXIS
+    axis, helix = mechanism_drawing(SCREW | {"pitch": pitch}, held).lines
+    low, high = np.sort(pitch * ANGLE[[0, -1], 0])
+    reach = max(0.25 * (high - low), 0.06) + 0.3 * RADIUS
+    np.testing.assert_allclose(axis, [POINT + (low - reach) * AXIS, POINT + (high + reach) * AXIS], atol=1e-12)
+    along = (helix - POINT) @ AXIS
+    np.testing.assert_allclose(np.linalg.norm(helix - POINT - np.outer(along, AXIS), axis=1), RADIUS, atol=1e-12)
+    np.testing.assert_allclose([along.min(), along.max()], [low, high], atol=1e-12)
     nearest = np.linalg.norm(held[:, None] - helix[None], axis=2).min(axis=1)
     assert nearest.max() < 0.02  # half the distance of two points of the helix
-    turns = mechanism_drawing(described("screw", radius=RADIUS, pitch=1e-4), held).lines[1]
-    _, angle, _ = in_the_axes(turns)
-    assert np.ptp(np.unwrap(angle)) == pytest.approx(2.0 * np.pi * 12.0)
+    assert len(mechanism_drawing(SCREW | {"pitch": 1e-4}, held).lines[1]) == 96 * 12 + 1
 
 
-def test_a_cylinder_has_two_rims_and_a_line_none() -> None:
-    """Rims at the ends of what was held; a line is its axis alone, 0.06 m longer than a motion of nothing."""
-    held = around(np.linspace(0.0, 1.0, 9), np.linspace(-0.2, 0.2, 9))
-    _, low, high = mechanism_drawing(described("other", radius=RADIUS), held).lines
-    np.testing.assert_allclose([in_the_axes(low)[2].mean(), in_the_axes(high)[2].mean()], [-0.2, 0.2], atol=1e-12)
-    (line,) = mechanism_drawing(described("line"), POINT[None]).lines
-    np.testing.assert_allclose(line, [POINT - 0.06 * AXIS, POINT + 0.06 * AXIS], atol=1e-12)
-
-
-def test_a_table_is_a_patch_around_the_motion() -> None:
-    """Its corners lie in the plane, its sides along the motion's widest spread, a quarter of that beyond it."""
-    round_it = np.linspace(0.0, 2.0 * np.pi, 48, endpoint=False)
-    along, across = 0.4 - 0.4 * np.cos(round_it), 0.1 * np.sin(round_it)
-    turned = np.cos(0.3) * FIRST + np.sin(0.3) * SECOND
-    held = POINT + along[:, None] * turned + across[:, None] * np.cross(AXIS, turned)
-    drawn = mechanism_drawing(described("plane"), held)
+def test_planes_and_balls_are_drawn_around_the_motion() -> None:
+    """A plane is a rectangle along the widest spread of the motion, and a quarter of it longer at each end; a ball has
+    three great circles. Without a centre or an axis there is only the sentence.
+    """
+    oval = POINT + 0.4 * CIRCLE[0] + 0.1 * CIRCLE[1]
+    drawn = mechanism_drawing(SCREW | {"type": "plane"}, oval)
     (patch,), (edge,) = drawn.patches, drawn.lines
     np.testing.assert_array_equal(edge, [*patch, patch[0]])
     np.testing.assert_allclose((patch - POINT) @ AXIS, 0.0, atol=1e-12)
     sides = np.sort(np.linalg.norm(np.diff(edge, axis=0), axis=1))
     np.testing.assert_allclose(sides, [0.2 + 0.4, 0.2 + 0.4, 1.2, 1.2], atol=1e-9)
-    np.testing.assert_allclose(patch.mean(axis=0), POINT + 0.4 * turned, atol=1e-9)
-
-
-def test_a_ball_is_three_circles_and_what_is_not_known_is_not_drawn() -> None:
-    """Great circles around the centre; without a centre, or of a held orientation, the sentence alone."""
-    circles = mechanism_drawing(described("ball", radius=RADIUS), POINT[None]).lines
-    assert len(circles) == 3
-    for normal, circle in zip(np.eye(3), circles, strict=True):
-        np.testing.assert_allclose(np.linalg.norm(circle - POINT, axis=1), RADIUS, atol=1e-12)
-        np.testing.assert_allclose((circle - POINT) @ normal, 0.0, atol=1e-12)
+    np.testing.assert_allclose(patch.mean(axis=0), POINT, atol=1e-9)
+    for normal, ring in zip(np.eye(3), mechanism_drawing(SCREW | {"type": "ball"}, POINT[None]).lines, strict=True):
+        np.testing.assert_allclose(np.linalg.norm(ring - POINT, axis=1), RADIUS, atol=1e-12)
+        np.testing.assert_allclose((ring - POINT) @ normal, 0.0, atol=1e-12)
     for lacking in ({"type": "ball", "radius": 0.1}, {"type": "hinge", "axis": [0, 0, 1]}, {"type": "orientation"}):
         drawn = mechanism_drawing({**lacking, "sentence": "in words"}, POINT[None])
         assert not drawn.lines and not drawn.patches and drawn.sentence == "in words"
 
 
-@pytest.mark.parametrize(
-    ("key", "value"),
-    [("axis", [0, 1]), ("point", [0, 0, np.nan]), ("radius", "wide"), ("pitch", 2e9), ("point", [1e9, 0, 0])],
-)
-def test_bad_numbers_are_named(key: str, value: object) -> None:
-    """The error names the number that it cannot use."""
-    with pytest.raises(RecordingError, match=f"the mechanism's {key} must be") as caught:
-        mechanism_drawing({**described("hinge", radius=RADIUS), key: value}, POINT[None])
-    assert caught.value.code == "mechanism"
+def test_bad_numbers_of_a_mechanism_are_named() -> None:
+    """The error names the number that cannot be drawn."""
+    for key, value in (("axis", [0, 1]), ("point", [0, 0, np.nan]), ("radius", "wide"), ("pitch", 2e9)):
+        with pytest.raises(RecordingError, match=f"the mechanism's {key} must be") as caught:
+            mechanism_drawing(SCREW | {key: value}, POINT[None])
+        assert caught.value.code == "mechanism"
+
+
+# ---- obstacles and warnings ------------------------------------------------------------------------------------------
+
+DATA = Path(__file__).resolve().parents[1] / "examples" / "data"
+
+
+@pytest.fixture(scope="module")
+def scene() -> ml.Scene:
+    """One obstacle of each kind near an arm, and a floor well below it."""
+    vertices, faces = [[0, 0, 0], [0.1, 0, 0], [0, 0.1, 0], [0, 0, 0.1]], [[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]]
+    return ml.Scene(
+        floor=-0.9,
+        boxes=[ml.Box((0.3, 0.2, 0.1), (0.3, 0.9, 0.2), "box")],
+        spheres=[ml.Sphere(0.1, (0.3, -0.9, 0.2), "ball")],
+        cylinders=[ml.Cylinder(0.05, 0.4, (-0.6, 0.5, 0.2), "post")],
+        meshes=[ml.Mesh((vertices, faces), (-0.6, -0.5, 0.2), "wedge")],
+    )
+
+
+def test_an_assumed_floor_is_neither_drawn_nor_framed(robot_of, tmp_path: Path):
+    """A floor that a plan assumes changes no picture, but a sentence names it; a stated floor is drawn."""
+    robot, pose = robot_of("sawyer"), np.eye(4)
+    pose[2, 3] = -3.0
+    floor = {"name": "floor", "kind": "face", "pose": pose.tolist(), "assumed": True, "nearest": 0.12, "link": "a"}
+    pages = []
+    for around in ((), (floor,), ({**floor, "assumed": False},)):
+        motion = replace(waving(robot), around=around)
+        pages.append(data_in(ml.replay(robot, motion, tmp_path / "a.html").html))
+    plain, assumed, stated = pages
+    assert assumed["rollouts"][0]["around"] == []
+    assert assumed["rollouts"][0]["clear"] == "floor (0.12 m from a) assumed: state what is there as a scene"
+    assert all(assumed[key] == plain[key] for key in ("bounds", "outline", "floor"))
+    assert stated["floor"] < plain["floor"]
+
+
+def test_a_page_has_every_warning_of_the_terminal(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+):
+    """In the same words: of learning, of a task done again, of a rollout, and of a replay of files."""
+    page, task, run, short = (tmp_path / name for name in ("a.html", "task.json", "run.npz", "short.npz"))
+    answers, show = list[Answer](), tables.show
+    monkeypatch.setattr(
+        tables, "show", lambda console, answer, *more: (answers.append(answer), show(console, answer, *more))
+    )
+    for words in (
+        ["learn", "panda", str(DATA / "panda_drawer_whole"), "--out", str(task)],
+        ["learn", "panda", str(DATA / "panda_drawer_mixed"), "--out", str(tmp_path / "mixed.json")],
+        ["repeat", "panda", str(task), "--out", str(run)],
+        ["control", "panda", str(task), "--along", "0.1", "--plan", "--out", str(short)],
+        ["control", "panda", str(task), "--duration", "0.3"],
+        ["replay", str(run), str(short)],
+    ):
+        assert main([*words, "--html", str(page)]) == 0, words
+        printed, notes = (" ".join(t.split()) for t in (capsys.readouterr().out, " ".join(data_in(page)["notes"])))
+        warnings = [text.removeprefix("warning: ") for text in (*answers[-1].warnings, *answers[-1].notes)]
+        assert warnings, words
+        for warning in (" ".join(text.split()) for text in warnings):
+            assert warning in printed and warning in notes, words
+    assert answers[1].warnings and answers[-2].warnings
+
+
+# ---- what a plan keeps clear of --------------------------------------------------------------------------------------
+
+READY = [0.0, -0.5, 0.0, 1.4, 0.0, 0.6, 0.0]
+
+
+def test_a_rollout_keeps_the_obstacles(scene: ml.Scene, robot_of, tmp_path: Path):
+    """Names, kinds, sizes and poses are in both file formats and on the page; damaged ones are refused."""
+    sawyer = robot_of("sawyer")
+    drawer = ml.Constraint([[0, 1, 0], [0, 0, 1]], ml.FrameJacobian(sawyer, "right_gripper_tip"))
+    plan = ml.plan(drawer, ml.motion(drawer, along=-0.1), READY, candidates=48, scene=scene)
+    around = {body["name"]: body for body in plan.rollout.around}
+    kinds = {"floor": "face", "box": "box", "ball": "sphere", "post": "cylinder", "wedge": "mesh"}
+    assert {name: body["kind"] for name, body in around.items()} == kinds
+    assert np.array(around["floor"]["pose"])[2, 3] == pytest.approx(-0.9)
+    assert len(around["wedge"]["faces"]) == 4 and not any(body["assumed"] for body in around.values())
+    for name in ("a.npz", "a.csv"):
+        assert ml.Rollout.load(plan.save(tmp_path / name), sawyer).around == plan.rollout.around
+    page = data_in(ml.replay(sawyer, {"plan": plan.rollout}, tmp_path / "a.html", open_browser=False).html)
+    drawn = {body["name"]: body for body in page["rollouts"][0]["around"]}
+    assert drawn["box"]["size"] == [0.3, 0.2, 0.1] and drawn["post"]["size"] == [0.05, 0.4]
+    places = {name: np.reshape(body["pose"], (4, 4))[:3, 3].tolist() for name, body in drawn.items()}
+    assert places["box"] == [0.3, 0.9, 0.2] and places["ball"] == [0.3, -0.9, 0.2]
+    assert [name for name, body in drawn.items() if body["mesh"]] == ["wedge"]
+    file = tmp_path / "a.csv"
+    file.write_text(file.read_text().replace('"kind": "sphere"', '"kind": "cloud"'))
+    with pytest.raises(RecordingError):
+        ml.Rollout.load(file, sawyer)

@@ -18,17 +18,12 @@ import pytest
 from case import case
 from recording_corpus import TIME, Q, U, refusal
 from recording_formats import pq, table
-from urdf_corpus import edited
 
 import manip_learn as ml
 from manip_learn.cli import main
 from manip_learn.constraint.features import CustomFeatures, FrameJacobian, MechanismRows
-from manip_learn.constraint.skill import Skill, Step
 from manip_learn.control.rollout import Rollout, written_constraint
-from manip_learn.control.servo_loop import ServoLoop
 from manip_learn.errors import ConstraintMismatchError, OutputError, RecordingError, advice_for_command
-from manip_learn.playback import replay
-from manip_learn.recordings import load_demonstrations
 from manip_learn.recordings.saved_motion import motion_of_trajectory
 from manip_learn.recordings.writers.lerobot_writer import samples_per_second
 from manip_learn.recordings.writers.write_motion import joint_trajectory_bytes, nanoseconds
@@ -88,31 +83,28 @@ def test_a_rollout_comes_back_bit_for_bit(suffix: str, arms: Path, tmp_path: Pat
     """Every array, NaN and infinity, word, name, frame and the robot, in each format; as a demonstration too."""
     robot = load_robot(arms / "arm.urdf", locked={"j2": 1.2})
     rollout = rollout_of(robot)
-    path = rollout.save(tmp_path / f"run.{suffix}")
+    path = shutil.copy(rollout.save(tmp_path / f"run.{suffix}"), tmp_path / "a b.txt")  # the content says the format
     for loaded in (Rollout.load(path), Rollout.load(path, robot)):
         for name in ARRAYS:
             assert getattr(loaded, name).tobytes() == getattr(rollout, name).tobytes()
         assert (loaded.status, loaded.joint_names, loaded.frame) == (rollout.status, rollout.joint_names, "tip")
         assert loaded.robot == RobotIdentity.of(robot) and loaded.robot.locked == {"j2": 1.2}
-    demos = load_demonstrations(path, robot)
+    demos = ml.load_demonstrations(path, robot)
     assert demos.notes == ()
     for name in ("time", "q", "u"):
         assert getattr(demos[0], name).tobytes() == getattr(rollout, name).tobytes()
-    odd = shutil.copy(path, tmp_path / "a b.txt")  # the content says the format
-    assert Rollout.load(odd, robot).q.tobytes() == rollout.q.tobytes()
-    refusal(odd, load_robot(arms / "longer.urdf"), match="'arm'")
 
 
 def test_a_rollout_can_be_learnt_from_again(planar3: Robot, robot_of, tmp_path: Path) -> None:
     """The same motion, limits are not used to doubt our own units; continuous joints as (cos, sin) become angles."""
     rollout = Rollout(TIME, Q * 10.0, U * 10.0, TIME, ("ok",) * 60, planar3.joint_names, TIME)
-    demos = load_demonstrations(rollout.save(tmp_path / "r.npz"), planar3)
+    demos = ml.load_demonstrations(rollout.save(tmp_path / "r.npz"), planar3)
     assert any("beyond their limits" in note for note in demos.notes)
     wrist = robot_of("wrist")
     positions = np.column_stack([3.0 + TIME, 0.1 * TIME, 6.0 * TIME, 0.2 * TIME])
     q, u = np.array([wrist.configuration(p) for p in positions]), np.gradient(positions, TIME, axis=0)
     turning = Rollout(TIME, q, u, TIME, ("ok",) * 60, wrist.joint_names, TIME).save(tmp_path / "r.npz")
-    demos = load_demonstrations(turning, wrist)
+    demos = ml.load_demonstrations(turning, wrist)
     np.testing.assert_allclose(demos[0].q, positions, rtol=0, atol=1e-9)
     assert "full turns added" in " ".join(demos.notes)
 
@@ -138,8 +130,8 @@ def test_no_file_is_used_with_another_robot_in_silence(number: int, arms: Path, 
     page, path = tmp_path / "page.html", rollout_of(own).save(tmp_path / ("run.npz", "run.csv")[number % 2])
     for use in (
         lambda: Rollout.load(path, other),
-        lambda: load_demonstrations(path, other),
-        lambda: replay(other, {"a": Rollout.load(path)}, page, open_browser=False),
+        lambda: ml.load_demonstrations(path, other),
+        lambda: ml.replay(other, {"a": Rollout.load(path)}, page, open_browser=False),
     ):
         with pytest.raises(RecordingError, match=repr(own.name)) as caught:
             use()
@@ -166,26 +158,23 @@ def test_files_without_a_robot(robot: Robot, arms: Path, tmp_path: Path) -> None
         assert Rollout.load(unknown, robot).robot is None
     with pytest.raises(RecordingError, match="wrist"):
         Rollout.load(unknown, load_robot(arms / "joints.urdf"))
-    arrays = {name: getattr(rollout_of(robot), name) for name in ARRAYS}
-    np.savez(tmp_path / "old.npz", format="manip_learn.rollout", joint_names=robot.joint_names, frame="tip", **arrays)
-    for read in (Rollout.load, load_demonstrations):
+    np.savez(tmp_path / "old.npz", format="manip_learn.rollout", joint_names=robot.joint_names, time=TIME, q=Q, u=U)
+    for read in (Rollout.load, ml.load_demonstrations):
         with pytest.raises(RecordingError, match="early version wrote this file") as caught:
             read(tmp_path / "old.npz", robot)
         assert caught.value.code == "not-a-rollout"
 
 
 def test_another_ending_is_refused(robot: Robot, tmp_path: Path) -> None:
-    """The ending says the format; one that says nothing is an error that lists the formats, as is one that went; what
-    cannot be a rollout again is not read as one.
+    """An unknown ending, or that of a removed format, is refused with a list of the formats; a bag, which is written,
+    is not read as a rollout.
     """
     rollout = rollout_of(robot)
-    gone = r"JSON lines are not written any more; \.npz and \.csv"
-    for name, said in (("run.xyz", r"\.npz, \.csv, \.mcap"), ("run.jsonl", gone)):
-        with pytest.raises(OutputError, match=said):
+    for name, words in (("run.xyz", r"\.npz, \.csv, \.mcap"), ("run.jsonl", "JSON lines are not written any more")):
+        with pytest.raises(OutputError, match=words):
             rollout.save(tmp_path / name)
-    with pytest.raises(RecordingError, match=r"\.npz and \.csv|\.npz or \.csv") as caught:
+    with pytest.raises(RecordingError, match=r"\.npz and \.csv|\.npz or \.csv"):
         Rollout.load(rollout.save(tmp_path / "run.mcap"))
-    assert caught.value.code == "not-a-rollout"
 
 
 @FORMATS
@@ -194,7 +183,7 @@ def test_a_rollout_keeps_what_guided_it(suffix: str, robot_of, tmp_path: Path) -
     robot = robot_of("sawyer")
     constraint = ml.Constraint(np.eye(3)[1:], FrameJacobian(robot, "right_hand", "xyz"), {"kind": "motion-constrained"})
     law = ml.ResolvedRateController(constraint, ml.PointAttractor([0.6, 0.2, 0.4]))
-    rollout = ml.simulate(robot, ServoLoop(law, 0.01), robot.neutral(), 0.05, 0.01)
+    rollout = ml.simulate(robot, ml.ServoLoop(law, 0.01), robot.neutral(), 0.05, 0.01)
     slipping = replace(rollout, following_error=np.linspace(0.0, 0.1, len(rollout)))
     loaded = Rollout.load(slipping.save(tmp_path / f"run.{suffix}"), robot)
     assert loaded.target is not None and loaded.target.tolist() == [0.6, 0.2, 0.4] and loaded.constraint is not None
@@ -241,8 +230,8 @@ def door(planar3: Robot, tmp_path: Path) -> Path:
     provenance = json.loads(OF_02.read_text())["provenance"] | {"kept": {"z": -0.0, "a": [1.0, 1e-7]}}
     rows = MechanismRows(planar3, "tip", "radial axial", axis=(0, 0, 1), point=(0.4, 0.3, 0.0), radius=1.25)
     constraint = ml.Constraint([[0.6, 0.8]], rows, provenance)
-    way = Step("way", constraint, constraint.shown, "close")
-    return Skill((constraint,), (Step("reach", constraint), way)).save(tmp_path / "c.json")
+    way = ml.Step("way", constraint, constraint.shown, "close")
+    return ml.Skill((constraint,), (ml.Step("reach", constraint), way)).save(tmp_path / "c.json")
 
 
 def test_a_constraint_file_comes_back_if_another_program_wrote_it(planar3: Robot, door: Path, tmp_path: Path) -> None:
@@ -259,7 +248,7 @@ def test_a_constraint_file_comes_back_if_another_program_wrote_it(planar3: Robot
         assert first.notes == other.notes == ()
         for q in ROWS_OF_02:
             np.testing.assert_array_equal(other(q), first(q))
-        steps = Skill.load(again, planar3).steps
+        steps = ml.Skill.load(again, planar3).steps
         assert [(step.kind, step.gripper) for step in steps] == [("reach", None), ("way", "close")]
     old = ml.Constraint.load(OF_02, planar3, same_urdf=False)
     new = ml.Constraint.load(old.save(again), planar3)
@@ -269,19 +258,15 @@ def test_a_constraint_file_comes_back_if_another_program_wrote_it(planar3: Robot
     assert json.loads(again.read_text())["schema"] == 2 and new.provenance == old.provenance
 
 
-NO_FINITE = "c.json is damaged: .* finite number"
-# entry of a constraint file -> another value, and what is said
+AFTER = 'c.json was changed after .* delete the entry "sha256"'
+# entry of a constraint file, another value, words of the refusal
 CHANGED: list[tuple[str, Any, str]] = [
-    *((key, value, 'c.json was changed after .* delete the entry "sha256"') for key, value in (
-        ("features.radius", 1.2500001), ("features.point", [0.4, 0.3, 1e-6]), ("provenance.shown.extent", 0.5),
-        ("skill.steps", []),
-    )),
-    *(("schema", n, re.escape(f"c.json has schema {n!r}, this version reads 1 and 2: load it with a newer"))
-      for n in (3, 0, "2", None, [2])),
-    *((f"provenance.{key}", [value], NO_FINITE) for key in ("gap", "shown") for value in (
-        float("nan"), float("-inf"), "1e999",
-    )),
-]  # fmt: skip
+    ("features.radius", 1.2500001, AFTER),
+    ("provenance.shown.extent", 0.5, AFTER),
+    ("skill.steps", [], AFTER),
+    *(("schema", n, "this version reads 1 and 2: load it with a newer") for n in (3, 0, "2", None, [2])),
+    *(("provenance.gap", [x], "c.json is damaged: .* finite number") for x in (np.nan, -np.inf, "1e999")),
+]
 
 
 @pytest.mark.parametrize("old", [False, True])
@@ -299,9 +284,9 @@ def test_what_was_changed_in_a_constraint_file_is_refused(old: bool, planar3: Ro
         inner[last] = value
         door.write_text(json.dumps(content).replace('"1e999"', "1e999"))
 
-    for key, value, said in CHANGED:
+    for key, value, words in CHANGED:
         change(key, value)
-        with case(key, value), pytest.raises(ConstraintMismatchError, match=said):
+        with case(key, value), pytest.raises(ConstraintMismatchError, match=words):
             ml.Constraint.load(door, planar3)
     change("provenance.sentence", "another one")
     assert ml.Constraint.load(door, planar3).provenance["sentence"] == "another one"
@@ -310,20 +295,9 @@ def test_what_was_changed_in_a_constraint_file_is_refused(old: bool, planar3: Ro
 
 
 # ---- which robot
-@pytest.fixture
-def elbow(tmp_path: Path) -> Callable[..., Robot]:
-    """Load the two-joint arm, with a change."""
-
-    def load(*change: tuple[str, str], **options: Any) -> Robot:
-        (tmp_path / "arm.urdf").write_bytes(edited(*change))
-        return load_robot(tmp_path / "arm.urdf", **options)
-
-    return load
-
-
-def test_an_identity_is_kept_in_json(elbow) -> None:
-    """There and back; what is no identity is refused with what is wrong."""
-    identity = RobotIdentity.of(elbow(locked={"elbow": 0.1}, objects=("box",)))
+def test_an_identity_is_kept_in_json(arms: Path) -> None:
+    """An identity comes back from JSON; a damaged one is refused with what is wrong."""
+    identity = RobotIdentity.of(load_robot(arms / "arm.urdf", locked={"j2": 0.1}, objects=("box",)))
     words = json.loads(json.dumps(identity.to_dict()))
     assert RobotIdentity.from_dict(words) == identity
     assert RobotIdentity.from_dict({k: v for k, v in words.items() if k not in ("locked", "objects")}).locked == {}
@@ -333,26 +307,26 @@ def test_an_identity_is_kept_in_json(elbow) -> None:
         "name must be text": {"name": 3},
         "joint_names must be a list of names": {"joint_names": ["a", 1]},
         "locked joints must be an object": {"locked": []},
-        "'elbow' is locked at True": {"locked": {"elbow": True}},
+        "'j2' is locked at True": {"locked": {"j2": True}},
         "objects must be a list": {"objects": "box"},
     }.items():
         with case(sentence), pytest.raises(ValueError, match=sentence):
             RobotIdentity.from_dict(words | change)
 
 
-def test_what_differs_is_said(elbow) -> None:
-    """Joints, locks, objects; else that the description has changed, as where all links are 1.3 times as long."""
-    plain, held = RobotIdentity.of(elbow()), RobotIdentity.of(elbow(locked={"elbow": 0.5}))
-    plain.refuse_another(elbow(), "run.npz")
-    longer = elbow(("0 0 0.3", "0 0 0.39"), ("0.4 0 0", "0.52 0 0"))
-    assert plain.differences(longer)[0].startswith("the description has changed")
-    assert held.differences(elbow(locked={"elbow": 1.2})) == ("'elbow' is locked at 0.5, not locked at 1.2",)
-    with pytest.raises(RecordingError, match="'elbow' is locked at 0.5, not free.*locked={'elbow': 0.5}") as caught:
-        held.refuse_another(elbow(), "run.npz", Path("some/run.npz"))
+def test_what_differs_is_said(arms: Path, robot: Robot) -> None:
+    """Locks and objects are named; otherwise the description has changed."""
+    arm = arms / "arm.urdf"
+    plain, held = RobotIdentity.of(robot), RobotIdentity.of(load_robot(arm, locked={"j2": 0.5}))
+    plain.refuse_another(robot, "run.npz")
+    assert plain.differences(load_robot(arms / "longer.urdf"))[0].startswith("the description has changed")
+    assert held.differences(load_robot(arm, locked={"j2": 1.2})) == ("'j2' is locked at 0.5, not locked at 1.2",)
+    with pytest.raises(RecordingError, match="'j2' is locked at 0.5, not free.*locked={'j2': 0.5}") as caught:
+        held.refuse_another(robot, "run.npz", Path("some/run.npz"))
     assert (caught.value.code, caught.value.path) == ("other-robot", Path("some/run.npz"))
     with advice_for_command(["--lock"]), pytest.raises(RecordingError, match="are locked without --lock"):
-        held.refuse_another(elbow(), "run.npz")
-    assert "its objects are none, not box" in plain.differences(elbow(objects="box"))
+        held.refuse_another(robot, "run.npz")
+    assert "its objects are none, not box" in plain.differences(load_robot(arm, objects="box"))
 
 
 # ---- exports
@@ -366,13 +340,10 @@ def test_recordings_come_back(to: str, arms: Path, robot: Robot, tmp_path: Path,
     assert main(words) == 0
     answer = json.loads(capsys.readouterr().out)
     assert (answer["format"], answer["trajectories"], answer["samples"]) == (to, 2, 80)
-    names = ["out"] if to == "lerobot" else [f"0_demo_0.{to}", f"1_demo_1.{to}"]
-    assert [Path(file).name for file in answer["files"]] == names
-    before, after = load_demonstrations(arms / "demos", robot), load_demonstrations(out, robot)
+    before, after = ml.load_demonstrations(arms / "demos", robot), ml.load_demonstrations(out, robot)
     for a, b in zip(before, after, strict=True):
-        assert a.q.tobytes() == b.q.tobytes()
-        assert a.u is not None and b.u is not None and a.u.tobytes() == b.u.tobytes()
-        assert a.effort is not None and b.effort is not None and a.effort.tobytes() == b.effort.tobytes()
+        for name in ("q", "u", "effort"):
+            assert getattr(a, name).tobytes() == getattr(b, name).tobytes()
         start = 0.0 if to == "csv" else a.time[0]  # the others count from the first sample
         assert to == "mcap" or (a.time - start).tobytes() == b.time.tobytes()
         np.testing.assert_array_equal(np.rint(1e9 * (a.time - start)), np.rint(1e9 * b.time))
@@ -401,7 +372,6 @@ def moved(sample: int, joint: int, by: float) -> Callable[[Rollout], Rollout]:
 # what happens to a rollout -> what the command says: joint, moment, and both figures
 NO_ARM_DID: dict[str, tuple[Callable[[Rollout], Rollout], str]] = {
     "a posture of 1e9 rad": (moved(10, 2, 1e9), r"sample 10, column 'right_j2': 1e\+09 .*limits \[-3.04"),
-    "so at last": (moved(-1, 2, 1e9), r"sample 300, column 'right_j2': 1e\+09 is outside the limits"),
     "a jump": (moved(20, 1, 0.5), "sample 20, column 'right_j1': the joint jumps .* its limit is 1.33"),
     "two joints exchanged": (lambda r: replace(r, q=r.q[:, [2, 1, 0, 3, 4, 5, 6]]), "has moved by .* velocities give"),
     "velocities of a tenth": (lambda r: replace(r, u=0.1 * r.u), "has moved by .* its velocities give"),
@@ -460,46 +430,28 @@ def test_lerobot_metadata(arms: Path, tmp_path: Path) -> None:
     assert (info["codebase_version"], info["fps"], info["total_episodes"], info["total_frames"]) == ("v3.0", 100, 2, 80)
     written = pq.read_table(out / info["data_path"].format(chunk_index=0, file_index=0))
     assert set(written.column_names) == set(info["features"]) == set(stats)
-    episodes = pq.read_table(out / "meta/episodes/chunk-000/file-000.parquet").to_pylist()
-    ends = [(e["dataset_from_index"], e["dataset_to_index"], e["length"]) for e in episodes]
-    assert ends == [(0, 40, 40), (40, 80, 40)]
+    episodes = pq.read_table(out / "meta/episodes/chunk-000/file-000.parquet").to_pydict()
+    assert (episodes["dataset_from_index"], episodes["dataset_to_index"]) == ([0, 40], [40, 80])
     states = np.array(written.column("observation.state").to_pylist())
-    parts = {"mean": states.mean(0), "std": states.std(0), "min": states.min(0), "max": states.max(0), "count": [80]}
-    for name, part in parts.items():
-        np.testing.assert_allclose(stats["observation.state"][name], part, rtol=1e-12)
+    for name in ("mean", "std", "min", "max"):
+        np.testing.assert_allclose(stats["observation.state"][name], getattr(states, name)(axis=0), rtol=1e-12)
     np.testing.assert_array_equal(written.column("episode_index").to_numpy(), np.repeat([0, 1], 40))
-    for rate, said in ((30.02, 30), (30.05, 30.05), (0.7, 0.7), (0.9999, 0.9999)):
+    for rate, said in ((30.02, 30), (30.05, 30.05)):
         slower = np.cumsum(np.full((2, 40), 1.0 / rate), axis=1)
         slower[0][20:] += 5.0  # a pause does not count
         assert samples_per_second([*slower]) == pytest.approx(said, rel=1e-9)
 
 
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        ("--out a.xyz", "ending says the format"),
-        ("--out a.mcap --to csv", "ending says the format"),
-        ("--out a --to hdf5", "--to must be one of"),
-        ("--out a.csv", "name a folder"),
-    ],
-)
-def test_wrong_outputs_are_refused(arguments: str, words: str, arms: Path, tmp_path: Path, monkeypatch, capsys) -> None:
-    """Unknown formats, contradictions, and several trajectories for one file: one sentence, exit code 2, no file."""
-    monkeypatch.chdir(tmp_path)
-    assert main(["export", str(arms / "arm.urdf"), str(arms / "demos"), *arguments.split()]) == 2
-    assert words in capsys.readouterr().err and not list(tmp_path.iterdir())
-
-
 def test_stamps_are_whole_nanoseconds() -> None:
     """From zero, or from the first sample where a stamp could not hold that; what cannot be told apart is refused."""
-    for time, from_first, expected in (
-        ([3.0, 3.5], False, [3_000_000_000, 3_500_000_000]),
-        ([3.0, 3.5], True, [0, 500_000_000]),
-        ([-1.0, 0.5], False, [0, 1_500_000_000]),
-        ([2.0**31, 2.0**31 + 0.5], False, [0, 500_000_000]),
-        ([0.0, 0.6e-9], False, [0, 1]),
+    assert nanoseconds(np.array([3.0, 3.5]), from_first=True).tolist() == [0, 500_000_000]
+    for time, expected in (
+        ([3.0, 3.5], [3_000_000_000, 3_500_000_000]),
+        ([-1.0, 0.5], [0, 1_500_000_000]),
+        ([2.0**31, 2.0**31 + 0.5], [0, 500_000_000]),
+        ([0.0, 0.6e-9], [0, 1]),
     ):
-        assert nanoseconds(np.array(time), from_first=from_first).tolist() == expected
+        assert nanoseconds(np.array(time), from_first=False).tolist() == expected
     for time in ([0.0, 0.4e-9], [0.0, np.nan], [0.0, 2.0**31], [1.0, 0.5]):
         with case(time), pytest.raises(OutputError):
             nanoseconds(np.array(time), from_first=False)

@@ -170,7 +170,7 @@ def test_scenes_are_data(tmp_path):
     assert repr(SCENE) == said
     assert ml.Scene.load(SCENE.save(tmp_path / "a" / "scene.json")) == SCENE
     assert hash(ml.Scene.load(tmp_path / "a" / "scene.json")) == hash(SCENE) and SCENE.handled == ("table",)
-    said = "mesh 'lidless' has 4 open edges: where it is open it counts as a surface, and what is behind it as free"
+    said = "mesh 'lidless' has 4 open edges: it counts as a surface, and the space behind it as free"
     assert SCENE.notes == (said,)
     SOURCES["ell"].export(tmp_path / "ell.stl")
     mesh = {"name": "ell", "source": "ell.stl", "scale": [2.0, 1.0, -1.0], "pose": [0.0, 0.0, 1.0]}
@@ -236,7 +236,7 @@ BAD_THINGS = [
     (lambda: ml.Box((1, -0.6, 1), (0, 0, 0), "a"), r"box 'a'.*size is \(1, -0.6, 1\).*three positive numbers"),
     (lambda: ml.Box((800, 600, 40), (0, 0, 0), "a"), "size is 800 m.*millimetres"),
     (lambda: ml.Box((1, 1, 1), (600, 0, 0), "a"), "place is 600 m.*millimetres"),
-    (lambda: ml.Box((1, 1, 1), (0, 0), "a"), r"place is \(0, 0\).*4 x 4"),
+    (lambda: ml.Box((1, 1, 1), (0, 0), "a"), r"pose is \(0, 0\).*4 x 4"),
     (lambda: ml.Box((1, 1, 1), 2.0 * np.eye(4), "a"), "not rigid, by 3"),
     (lambda: ml.Box((1, 1, 1), np.diag([1.0, 1.0, -1.0, 1.0]), "a"), "pose mirrors"),
     (lambda: ml.Box((1, 1, 1), (0, 0, 0), " "), "a name is expected"),

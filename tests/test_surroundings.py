@@ -43,8 +43,8 @@ def test_a_hand_goes_no_deeper_than_the_least_deep_that_takes_hold(panda: ml.Rob
     scene = ml.Scene(None, [ml.Box((0.3, 0.3, 0.3), place - [0.0, 0.0, 0.12], "chest")], handled=("chest",))
     clear = Clearance(panda, True, Surroundings.of(scene, panda, panda.frame(TIP)), start)
     beside = READY + [0.0, -0.1, 0.0, 0.0, 0.0, 0.0, 0.0]
-    both, alone = clear.holding([READY, beside]), clear.holding([READY])
+    both, alone = clear.for_grasps([READY, beside]), clear.for_grasps([READY])
     assert alone(READY) and alone(beside)
     assert both(beside) and not both(READY)
-    touching = both.touching(READY)
+    touching = both.nearest_contact(READY)
     assert touching is not None and touching.links[1] == "chest"

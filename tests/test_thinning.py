@@ -6,13 +6,11 @@ from functools import partial
 
 import numpy as np
 import pytest
-from recording_corpus import JOINTS
-from recording_formats import dataset, frames, info, motion, pa
+from recording_formats import frames, lerobot, motion, pa
 from scale_motions import motions
 from task_sets import generated, true_rows
 
 import manip_learn as ml
-from manip_learn.constraint.features import FrameJacobian
 from manip_learn.errors import NotIdentifiableError
 from manip_learn.learning.table import EvenChoice, read_evenly
 from manip_learn.linalg import orthonormal_rows, row_space_angle
@@ -24,24 +22,13 @@ HELD = {"velocities": "recorded", "n_constraints": 2, "estimator": "null-space"}
 
 
 @pytest.fixture(scope="module")
-def features() -> FrameJacobian:
-    return FrameJacobian(ml.load_robot("sawyer"), "right_gripper_tip", "xyz")
+def features() -> ml.FrameJacobian:
+    return ml.FrameJacobian(ml.load_robot("sawyer"), "right_gripper_tip", "xyz")
 
 
 @pytest.fixture(scope="module")
 def held(features) -> ml.Demonstrations:
     return motions(features, TWO, np.random.default_rng(1), 60, noise=0.02, held=True)
-
-
-class Yielded:
-    """Trajectories that come one by one, and how often they were asked for."""
-
-    def __init__(self, trajectories):
-        self.trajectories, self.passes = trajectories, 0
-
-    def __iter__(self):
-        self.passes += 1
-        yield from self.trajectories
 
 
 def chosen(recordings, each: int, robot, most: int) -> EvenChoice:
@@ -65,10 +52,8 @@ def chosen(recordings, each: int, robot, most: int) -> EvenChoice:
 )
 def test_what_is_left_out(most, rate, lengths, steps, left):
     """Neighbours, then recordings, evenly and in order; the same however the recordings are divided into parts."""
-    recordings = [
-        ml.Trajectory(np.arange(n) / rate, np.full((n, 2), float(i)) + np.arange(n)[:, None] / 1e5, np.ones((n, 2)))
-        for i, n in enumerate(lengths)
-    ]
+    q = np.repeat(np.arange(4000)[:, None] / 1e5, 2, axis=1)
+    recordings = [ml.Trajectory(np.arange(n) / rate, q[:n] + i, np.ones((n, 2))) for i, n in enumerate(lengths)]
     first = chosen(recordings, len(lengths), None, most)
     demos, all_fit = first.demonstrations, left == len(lengths) and steps == {1}
     assert ({kept.step for kept in first.kept}, len(demos)) == (steps, left)
@@ -101,7 +86,7 @@ def test_phases_are_found_in_a_choice():
     price of a change that no evidence pays no recording falls into phases.
     """
     truth, given = generated("drawer", "sawyer", 5, 8)
-    features = FrameJacobian(ml.load_robot("sawyer"), truth["tip"], "xyz")
+    features = ml.FrameJacobian(ml.load_robot("sawyer"), truth["tip"], "xyz")
     whole = ml.ConstraintLearner(features).fit(given)
     chosen = ml.ConstraintLearner(features, most_samples=sum(map(len, given)) // 2).fit(given)
     assert np.degrees(row_space_angle(true_rows(truth), chosen.constraint_.selection)) < 0.2
@@ -123,27 +108,25 @@ def test_streams_and_files_are_learnt_from_as_if_in_memory(features, held, tmp_p
     for t in recordings:
         np.savez(tmp_path / t.name, time=t.time, q=t.q, joint_names=np.array(t.joint_names))
     monkeypatch.setattr(trajectory_source, "PART_BYTES", 50_000)
-    stream, source = Yielded(recordings), ml.RecordingSource(tmp_path, features.robot)
+    stream, source = iter(recordings), ml.RecordingSource(tmp_path, features.robot)
     whole, *others = (ml.ConstraintLearner(features, **HELD).fit(given) for given in (recordings, stream, source))
-    assert stream.passes == 1 and 2 < source.n_parts < 20
+    assert 2 < source.n_parts < 20
     for other in others:
         np.testing.assert_array_equal(other.constraint_.selection, whole.constraint_.selection)
         for name in ("uncertainty_deg", "notes", "n_samples", "n_trajectories"):
             assert getattr(other.report_, name) == getattr(whole.report_, name)
 
 
-@pytest.mark.parametrize(("version", "shared", "parts"), [("v2.1", False, 4), ("v3.0", False, 4), ("v3.0", True, 1)])
-def test_lerobot_episodes_are_parts(version: str, shared: bool, parts: int, planar3, tmp_path, monkeypatch):
-    """LeRobot data is read file by file, as a whole where an episode goes on in the next file or some are chosen."""
+@pytest.mark.parametrize(("shared", "parts"), [(False, 4), (True, 1)])
+def test_lerobot_episodes_are_parts(shared: bool, parts: int, planar3, tmp_path, monkeypatch):
+    """LeRobot data is read file by file, or as a whole if an episode spans two files or episodes are selected."""
     monkeypatch.setattr(trajectory_source, "PART_BYTES", 1)
     tables = [frames({i: motion(i, 30)}) for i in range(4)]
     if shared:
         tables[:2] = tables[0][:10], pa.concat_tables([tables[0][10:], tables[1]])
-    name = "data/chunk-000/episode_{:06d}.parquet" if version == "v2.1" else "data/chunk-000/file-{:03d}.parquet"
-    files = {name.format(i): table for i, table in enumerate(tables)}
-    root = dataset(tmp_path / "set", info(JOINTS, version), files)
+    root = lerobot(*tables)(tmp_path)
     source = ml.RecordingSource(root, planar3, units="radians")
     assert source.n_parts == parts
-    assert version == "v2.1" or ml.RecordingSource(root, planar3, units="radians", episodes="0:2").n_parts == 1
+    assert ml.RecordingSource(root, planar3, units="radians", episodes="0:2").n_parts == 1
     for a, b in zip(source, ml.load_demonstrations(root, planar3, units="radians"), strict=True):
         np.testing.assert_array_equal(a.q, b.q)

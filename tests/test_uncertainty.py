@@ -16,8 +16,8 @@ from mechanism_motions import about, demonstrate
 
 import manip_learn as ml
 from manip_learn.constraint.features.mechanism_rows import PlaceRows
-from manip_learn.learning.fit import Motion, RowFit, changes_by_links, errors_of
-from manip_learn.learning.place import placed
+from manip_learn.learning.fit import Motion, RowFit, draw_errors, link_error_changes
+from manip_learn.learning.place import locate
 from manip_learn.learning.report import JOINT_ZEROS, NOISE, PARTS, POLICY
 from manip_learn.learning.table import ArmErrors, Settings, Stretch, Table, View
 from manip_learn.linalg import orthonormal_rows
@@ -100,7 +100,7 @@ def test_links_change_the_rates_of_rows(make, rng):
     """
     robot = arm_features().robot
     tip, q, u = robot.frame("right_gripper_tip"), rng.uniform(-1.0, 1.0, (3, 7)), rng.standard_normal((3, 7))
-    changes = changes_by_links(make(robot), q, u)
+    changes = link_error_changes(make(robot), q, u)
     joints, size = [*robot.pinocchio_model.supports[tip.parent_joint]][2:], 1e-6
     assert changes.shape[2] == 6 * (len(joints) + 1)
     for number in range(changes.shape[2]):
@@ -117,7 +117,7 @@ def test_links_change_the_rates_of_rows(make, rng):
             rates.append(make(ml.Robot(model, mimics=robot.mimics)).batch(q) @ u[:, :, None])
         assert np.abs((rates[0] - rates[1]) / (2.0 * size) - changes[..., number, None]).max() < 1e-7
     own = ml.CustomFeatures(lambda q: np.eye(3) * q[0], "abc", 3)
-    assert changes_by_links(own, np.ones((2, 3)), np.ones((2, 3))).shape == (2, 3, 0)
+    assert link_error_changes(own, np.ones((2, 3)), np.ones((2, 3))).shape == (2, 3, 0)
 
 
 def test_the_report_states_the_parts():
@@ -185,7 +185,7 @@ def test_what_is_stated_holds_in_two_cases_of_three(robot_of, kind, path, form, 
         view = View(features, Table([ml.derive_velocities(t, robot) for t in given]))
         motion = Motion.of(view, [Stretch(i, *map(float, x)) for i, x in enumerate(view.table.ends)], Settings())
         fit = RowFit(motion, orthonormal_rows(motion.levels.directions[:s])).best()
-        found = placed(fit, errors_of(fit, ArmErrors(), np.random.default_rng(0)))
+        found = locate(fit, draw_errors(fit, ArmErrors(), np.random.default_rng(0)))
         assert found is not None and found.kind.name == kind
         m = found.mechanism
         variances.append(fit.variance)

@@ -15,7 +15,6 @@ from generated_motions import angle_deg, arm_features, guided_motions, oblique, 
 import manip_learn as ml
 from manip_learn.errors import NotIdentifiableError, RecordingError
 from manip_learn.recordings.given import recordings_given
-from manip_learn.recordings.trajectory import Demonstrations, Trajectory
 from manip_learn.recordings.velocities import derive_velocities, jerk, noise_variance, with_velocities
 
 FEATURES = arm_features()
@@ -25,36 +24,29 @@ NOISE = 1e-4  # [rad] of the encoders
 SEED = 7
 
 Velocity = Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]
-Stamps = Callable[[np.ndarray, np.random.Generator], np.ndarray]
+Stamps = Callable[[np.ndarray], np.ndarray]
 
 
-def recorded(seed: int, noise: float, dt: float = 0.01, n_points: int = 200, n_trajectories: int = 4):
+def recorded(seed: int, noise: float, dt: float = 0.01, n_points: int = 200):
     """True motions, and what an encoder with noise would record of them: positions only."""
     rng = np.random.default_rng(seed)
-    true, truth = guided_motions(FEATURES, oblique(2, 3, rng), rng, n_trajectories, n_points, dt)
-    noisy = [
-        Trajectory(t.time, t.q + noise * rng.standard_normal(t.q.shape), None, t.joint_names, t.name) for t in true
-    ]
-    return true, Demonstrations(noisy), truth
+    true, _ = guided_motions(FEATURES, oblique(2, 3, rng), rng, 4, n_points, dt)
+    noisy = (replace(t, q=t.q + noise * rng.standard_normal(t.q.shape), u=None, exact=False) for t in true)
+    return true, ml.Demonstrations(noisy)
 
 
-def error_of(true: Trajectory, derived: Trajectory) -> float:
+def error_of(true: ml.Trajectory, derived: ml.Trajectory) -> float:
     """Root mean square error of the velocities, relative to their size."""
     return float(np.sqrt(np.mean((derived.u - true.u) ** 2) / np.mean(true.u**2)))
 
 
-@pytest.mark.parametrize(
-    ("dt", "n", "noise", "allowed"),
-    [
-        (0.05, 60, 1e-3, 0.04),
-        (0.01, 200, 0.0, 1e-5),
-        (0.01, 200, 1e-3, 0.025),
-        (0.002, 2000, 1e-3, 0.01),
-    ],
-)
+RATES = [(0.05, 60, 1e-3, 0.04), (0.01, 200, 0.0, 1e-5), (0.01, 200, 1e-3, 0.025), (0.002, 2000, 1e-3, 0.01)]
+
+
+@pytest.mark.parametrize(("dt", "n", "noise", "allowed"), RATES)
 def test_derived_velocities_are_close_to_the_truth(dt: float, n: int, noise: float, allowed: float) -> None:
     """At any rate and noise the window suits the motion, and positions and times stay as they are, to the last one."""
-    true, noisy, _ = recorded(1, noise, dt, n)
+    true, noisy = recorded(1, noise, dt, n)
     for a, b in zip(true, noisy, strict=True):
         derived = derive_velocities(b, ROBOT)
         assert error_of(a, derived) < allowed
@@ -69,9 +61,9 @@ def test_lost_samples_and_uneven_stamps() -> None:
     rng = np.random.default_rng(3)
     time = np.delete(np.cumsum(rng.uniform(0.005, 0.02, 120)), [30, 31, 32, 33, 80])
     shapes = [np.polynomial.Chebyshev(rng.standard_normal(6), domain=[0.0, time[-1]]) for _ in range(7)]
-    derived = derive_velocities(Trajectory(time, np.stack([p(time) for p in shapes], axis=1)), ROBOT)
+    derived = derive_velocities(ml.Trajectory(time, np.stack([p(time) for p in shapes], axis=1)), ROBOT)
     np.testing.assert_allclose(derived.u, np.stack([p.deriv()(time) for p in shapes], axis=1), rtol=0, atol=1e-6)
-    true, noisy, _ = recorded(5, 1e-4)
+    true, noisy = recorded(5, 1e-4)
     kept = np.sort(rng.choice(200, 140, replace=False))
     some = derive_velocities(noisy[0].part(kept), ROBOT)
     assert error_of(true[0].part(kept), some) < 2.0 * error_of(true[0], derive_velocities(noisy[0], ROBOT))
@@ -91,7 +83,7 @@ def test_joints_that_turn_for_ever_and_floating_bases(robot_of, rng):
             moved.append(base.integrate(moved[-1], 0.02 * u))
         cases.append((base, np.array(moved), u))
     for robot, q, true in cases:
-        derived = derive_velocities(Trajectory(time[: len(q)], q, None, robot.joint_names), robot)
+        derived = derive_velocities(ml.Trajectory(time[: len(q)], q, None, robot.joint_names), robot)
         np.testing.assert_allclose(derived.u, np.tile(true, (len(q), 1)), atol=1e-9)
 
 
@@ -99,8 +91,8 @@ def test_recorded_velocities_are_used_as_asked() -> None:
     """`"recorded"` uses those there are as they are; by default all are derived. Too few samples, no robot and what is
     not a number are refused.
     """
-    true, noisy, _ = recorded(6, 1e-4)
-    mixed = Demonstrations([replace(true[0], u=2.0 * true[0].u, exact=False), noisy[1]], ["read from files"])
+    true, noisy = recorded(6, 1e-4)
+    mixed = ml.Demonstrations([replace(true[0], u=2.0 * true[0].u, exact=False), noisy[1]], ["read from files"])
     kept, derived = with_velocities(mixed, ROBOT, "recorded"), with_velocities(mixed, ROBOT)
     assert kept[0] is mixed[0] and kept.notes == mixed.notes and kept.has_velocities
     assert error_of(true[0], derived[0]) < 1e-2
@@ -110,7 +102,7 @@ def test_recorded_velocities_are_used_as_asked() -> None:
     with pytest.raises(RecordingError, match="give features of one"):
         with_velocities(noisy, None)
     with pytest.raises(RecordingError, match="is not a number"):
-        with_velocities(Demonstrations([replace(true[0], u=np.nan * true[0].u, exact=False)]), ROBOT, "recorded")
+        with_velocities(ml.Demonstrations([replace(true[0], u=np.nan * true[0].u, exact=False)]), ROBOT, "recorded")
 
 
 def moved(dt: float, noise: float, n: int = 1200) -> tuple[np.ndarray, np.ndarray]:
@@ -126,10 +118,8 @@ def test_noise_and_jerk_of_known_motions() -> None:
     """
     for dt, noise, rms, peak in (
         (0.002, 1e-7, 23.205177843311407, 36.89315496018989),
-        (0.002, 1e-3, 23.42809656849463, 44.35626587290434),
         (0.002, 1e-2, 52.44904955344167, 243.51918056342222),
         (0.01, 1e-6, 22.89961222071799, 32.65015846760345),
-        (0.01, 1e-3, 22.73898243615183, 36.431384837926274),
         (0.05, 1e-2, 21.259938033889707, 35.92724973641997),
     ):
         with case(dt, noise):
@@ -144,7 +134,6 @@ def test_noise_and_jerk_of_known_motions() -> None:
 # what is recorded in place of the velocity
 VELOCITIES: dict[str, Velocity] = {
     "not a number": lambda u, q, t: np.nan * u,
-    "copied from the position": lambda u, q, t: q.copy(),
     "of the opposite sign": lambda u, q, t: -u,
     "of one joint 5 percent too large": lambda u, q, t: u * np.where(np.arange(u.shape[1]) == 1, 1.05, 1.0),
 }
@@ -153,27 +142,18 @@ VELOCITIES: dict[str, Velocity] = {
 def bunches(size: int, apart: float = 0.0) -> Stamps:
     """Samples that are stamped when the last of so many has arrived."""
 
-    def changed(t: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    def changed(t: np.ndarray) -> np.ndarray:
         k = np.arange(len(t))
         return t[np.minimum((k // size + 1) * size - 1, len(t) - 1)] + apart * (k % size)
 
     return changed
 
 
-def random_bunches(t: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    ends = np.append(np.sort(rng.choice(len(t), len(t) // 8, replace=False)), len(t) - 1)
-    return t[ends[np.searchsorted(ends, np.arange(len(t)))]]
-
-
 def grains(size: float) -> Stamps:
-    return lambda t, rng: np.floor(t / size + 1e-9) * size
+    return lambda t: np.floor(t / size + 1e-9) * size
 
 
-def stalled(t: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    return np.maximum.accumulate(np.where((np.arange(len(t)) >= 120) & (np.arange(len(t)) < 140), t[140] - 1e-3, t))
-
-
-def some_late(t: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+def some_late(t: np.ndarray) -> np.ndarray:
     out = t.copy()
     out[[40, 90, 91, 200]] += 0.6
     return out
@@ -182,14 +162,13 @@ def some_late(t: np.ndarray, rng: np.random.Generator) -> np.ndarray:
 TIMES: dict[str, Stamps] = {
     **{f"bunches of {n}": bunches(n) for n in (2, 100)},
     "bunches of 10, 0.1 ms apart": bunches(10, 1e-4),
-    "bunches of many sizes": random_bunches,
     **{f"grains of {size:g} s": grains(size) for size in (0.001, 0.1, 1.0)},
-    "milliseconds since 1970": lambda t, rng: 1.7e12 + np.round(1e3 * t),
-    "stalled once": stalled,
+    "milliseconds since 1970": lambda t: 1.7e12 + np.round(1e3 * t),
+    "stalled once": lambda t: np.where((t >= t[120]) & (t < t[140]), t[140] - 1e-3, t),
     "single stamps late": some_late,
-    "set back by 0.4 s": lambda t, rng: t - 0.4 * (np.arange(len(t)) >= 130),
-    "set back twice": lambda t, rng: t - 0.5 * (np.arange(len(t)) >= 100) - 1.0 * (np.arange(len(t)) >= 220),
-    "past midnight": lambda t, rng: (86399.0 + t) % 86400.0,
+    "set back by 0.4 s": lambda t: t - 0.4 * (np.arange(len(t)) >= 130),
+    "set back twice": lambda t: t - 0.5 * (np.arange(len(t)) >= 100) - 1.0 * (np.arange(len(t)) >= 220),
+    "past midnight": lambda t: (86399.0 + t) % 86400.0,
 }
 
 
@@ -222,8 +201,7 @@ def test_recorded_velocities_cannot_hurt(fault: str) -> None:
 def test_times_that_contradict_the_positions_are_spread(fault: str) -> None:
     """Even steps as in truth, which leave the rows that are learnt as they are, and a note says what was done."""
     features, exact, _ = motions(("planar3", "sawyer")[len(fault) % 2])
-    rng = np.random.default_rng(SEED)
-    read = recordings_given([(TIMES[fault](t.time, rng), t.q) for t in exact], features.robot, features.nv)
+    read = recordings_given([(TIMES[fault](t.time), t.q) for t in exact], features.robot, features.nv)
     assert isinstance(read, ml.Demonstrations) and len(read) == len(exact)
     told = ("spread", "spaced evenly", "read as m", "set back", "came late", "out of order")
     assert fault == "grains of 0.001 s" or all(any(word in note for word in told) for note in read.notes) and read.notes
@@ -238,6 +216,6 @@ def test_positions_that_are_noise_are_no_motion() -> None:
     features, exact, _ = motions("planar3")
     rng = np.random.default_rng(SEED)
     still = [ml.Trajectory(t.time, t.q[:1] + 1e-4 * rng.normal(size=t.q.shape)) for t in exact]
-    with pytest.raises(NotIdentifiableError, match="farther than the noise of its positions") as refused:
+    with pytest.raises(NotIdentifiableError, match="further than its encoder noise") as refused:
         ml.ConstraintLearner(features).fit(still)
     assert refused.value.code == "no-motion"

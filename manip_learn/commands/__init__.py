@@ -1,1 +1,1 @@
-"""What the commands of `manip-learn` do; `cli.py` parses and prints."""
+"""Commands of `manip-learn`; `cli.py` parses and prints."""

@@ -1,4 +1,4 @@
-"""`manip-learn audit`: every recorded episode judged by a constraint."""
+"""`manip-learn audit`: judge every recorded episode by a constraint."""
 
 from __future__ import annotations
 
@@ -16,39 +16,47 @@ from manip_learn.learning.audit import AuditReport, EpisodeAudit, audit_episodes
 from manip_learn.learning.table import dask_client
 from manip_learn.recordings.load import RecordingSource
 
-# of an episode, in the order in which they matter
+# measures of an episode, the most important first
 _MEASURES = (
     "score: {score:.1f}; broken: {residual:.1%}; room: {limit_margin:.0%}; mm: {displacement_mm:.1f}; "
     "sigma: {sigma_min:.3f}; speed: {peak_speed:.0%}; rest: {rest_share:.0%}; deg: {displacement_deg:.1f}; "
     "jerk: {jerk_rms:.1f}; s: {duration:.1f}"
 )
-_SHOWN = 20  # episodes on a terminal
 
 
 def audit(options: AuditOptions, progress: Progress) -> Answer:
-    """Measure and rank the episodes in some recordings; write them as CSV if a file is named."""
+    """Measure and rank the episodes in some recordings; write them as CSV if a file is named.
+
+    Args:
+        options: Options of the command.
+        progress: Function of the name of a stage and its completed share.
+
+    Returns:
+        Audit as an answer.
+    """
     constraint, robot = load_constraint(options.robot, options.constraint, options)
     source = RecordingSource(options.recordings, robot, progress=progress, **options.keywords())
     with dask_client(options.dask) as client:
         report = audit_episodes(constraint, source, client=client, progress=progress)
-    return described(report, None if options.csv is None else write_table(report, options.csv))
+    return audit_answer(report, None if options.csv is None else write_table(report, options.csv))
 
 
-def described(report: AuditReport, file: Path | None = None) -> Answer:
-    """Return an audit as an answer: what to leave out and why, and the worst episodes.
+def audit_answer(report: AuditReport, file: Path | None = None) -> Answer:
+    """Return an audit as an answer: the episodes to leave out with the reasons, and the worst episodes.
 
     Args:
         report: The audit.
-        file: Its table, if it was written.
+        file: Its table; None if it was not written.
     """
+    most = 20  # number of episodes on a terminal
     n = len(report.episodes)
     threshold = f"robust z above {report.threshold:.1f}" if math.isfinite(report.threshold) else "too few to tell"
     return Answer(
         {**report.to_dict(), "csv": file},
         title=f"leave out {len(report.leave_out)} of {counted(n, 'episode')} ({threshold})",
         sentences=[f"{e.episode}: {'; '.join(e.reasons)}" for e in report.leave_out],
-        remarks=[f"the {_SHOWN} worst (--csv FILE lists all):" if n > _SHOWN else ""],
-        rows=[{"episode": e.episode} | cells(e._asdict(), _MEASURES) for e in report.episodes[:_SHOWN]],
+        remarks=[f"the {most} worst (--csv FILE lists all):" if n > most else ""],
+        rows=[{"episode": e.episode} | cells(e._asdict(), _MEASURES) for e in report.episodes[:most]],
         notes=report.notes,
         written=[f"written: {file}" if file else ""],
     )
@@ -62,10 +70,10 @@ def write_table(report: AuditReport, path: Path) -> Path:
         path: File to write.
 
     Returns:
-        The file.
+        Path of the file.
 
     Raises:
-        OutputError: It cannot be written.
+        OutputError: The file cannot be written.
     """
     writer = csv.writer(text := io.StringIO(), lineterminator="\n")
     writer.writerow(EpisodeAudit._fields)

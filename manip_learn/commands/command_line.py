@@ -1,4 +1,4 @@
-"""Options as the parser takes them: flags made from dataclasses, help under headings, and the line as it was typed."""
+"""Command-line parser: flags from dataclasses, help under headings, and the typed line."""
 
 from __future__ import annotations
 
@@ -29,26 +29,34 @@ OUTPUT = {*WRITTEN, "open_browser", "browser", "explain", "as_json", "help", HEL
 TYPED: ContextVar[tuple[str, ...]] = ContextVar("typed words", default=())
 
 
-def described(kind: object) -> dict[str, str]:
-    """Return the texts under `Attributes:` in the docstring of a class or a module, by their names."""
+def attribute_texts(kind: object) -> dict[str, str]:
+    """Return the texts under `Attributes:` in the docstring of a class or a module.
+
+    Args:
+        kind: Class or module.
+
+    Returns:
+        Name -> text.
+    """
     entries = re.findall(r"^    (\w[\w ]*): (.*(?:\n {8}.*)*)", inspect.getdoc(kind) or "", re.MULTILINE)
     return {name: " ".join(text.split()) for name, text in entries}
 
 
-def parsed_by(options: type[Any], run: Callable[[Any], None]) -> Callable[..., None]:
+def command_function(options: type[Any], run: Callable[[Any], None]) -> Callable[..., None]:
     """Return a function for typer that has the fields of some options as its parameters, and runs a command with them.
 
     Args:
-        options: The first paragraph of its docstring is the help of the command, the second an example.
-        run: Takes an object of it.
+        options: Class of options. The first paragraph of its docstring is the help of the command, the second an
+            example.
+        run: Function of an object of this class.
     """
 
     def with_options(**given: Any) -> None:
         run(options(**given))
 
-    texts, headings = described(sys.modules[options.__module__]), dict[str, str]()
+    texts, headings = attribute_texts(sys.modules[options.__module__]), dict[str, str]()
     for kind in reversed(options.__mro__[:-1]):
-        texts |= described(kind)
+        texts |= attribute_texts(kind)
         title = "Options" if kind is options else str(inspect.getdoc(kind)).partition(".")[0]
         headings |= dict.fromkeys(inspect.get_annotations(kind), title)
     hints, parameters = get_type_hints(options, include_extras=True), list[inspect.Parameter]()
@@ -63,30 +71,40 @@ def parsed_by(options: type[Any], run: Callable[[Any], None]) -> Callable[..., N
     with_options.__doc__, example, *_ = f"{inspect.getdoc(options)}\n\n".split("\n\n")
     with_options.__annotations__ = {}
     first = takewhile(lambda field: not field.kw_only or headings[field.name] == "Output", fields)
-    told = {"headings": headings, "first": {*(field.name for field in first), "help", HELP_ALL}, "example": example}
-    vars(with_options).update(__signature__=inspect.Signature(parameters), **told)
+    layout = {"headings": headings, "first": {*(field.name for field in first), "help", HELP_ALL}, "example": example}
+    vars(with_options).update(__signature__=inspect.Signature(parameters), **layout)
     return with_options
 
 
 class GroupedCommand(TyperCommand):
-    """A command whose options are listed under headings, and which looks where it is to write before it works."""
+    """Command whose options are listed under headings, and which checks its output files before it works."""
 
     def format_help(self, ctx: Any, formatter: Any) -> None:
-        """An example that works, then the rest."""
+        """Write an example that works, then the rest of the help.
+
+        Args:
+            ctx: Context of the parser.
+            formatter: Formatter to write to.
+        """
         words = textwrap.wrap(vars(self.callback)["example"], formatter.width - 11, break_on_hyphens=False)
         formatter.write("Example: " + " \\\n    ".join(words) + "\n\n")
         super().format_help(ctx, formatter)
 
     def format_options(self, ctx: Any, formatter: Any) -> None:
-        """Arguments, and the options that a beginner needs; under `--help-all` all of them, by what they are about."""
-        told, others = vars(self.callback), []
-        titles = ("Arguments", "Options", *(t for t in told["headings"].values() if t != "Output"), "Output")
+        """Write the arguments, and the options for beginners; under `--help-all` all options by topic.
+
+        Args:
+            ctx: Context of the parser.
+            formatter: Formatter to write to.
+        """
+        layout, others = vars(self.callback), []
+        titles = ("Arguments", "Options", *(t for t in layout["headings"].values() if t != "Output"), "Output")
         sections: dict[str, list[Any]] = {title: [] for title in titles}
         for parameter in self.get_params(ctx):
             name, heading = parameter.name or "", "Arguments"
             if parameter.param_type_name != "argument":
-                heading = "Output" if name in OUTPUT else told["headings"][name]
-            if HELP_ALL in ctx.meta or name in told["first"]:
+                heading = "Output" if name in OUTPUT else layout["headings"][name]
+            if HELP_ALL in ctx.meta or name in layout["first"]:
                 sections[heading].append(parameter.get_help_record(ctx))
             else:
                 others.append(parameter.opts[0])
@@ -96,32 +114,47 @@ class GroupedCommand(TyperCommand):
                     formatter.write_dl(records)
         if others:
             formatter.write_paragraph()
-            said = f"--help-all explains also {', '.join(others)}"
-            formatter.write(textwrap.fill(said, formatter.width, break_on_hyphens=False) + "\n")
+            text = f"--help-all also explains {', '.join(others)}"
+            formatter.write(textwrap.fill(text, formatter.width, break_on_hyphens=False) + "\n")
 
     def invoke(self, ctx: Any) -> object:
-        """Run the command."""
-        given = {p.name: (p.opts[0], ctx.params.get(p.name)) for p in self.params}
-        written = [(flag, Path(path)) for name, (flag, path) in given.items() if name in WRITTEN and path]
+        """Run the command.
+
+        Args:
+            ctx: Context of the parser, with the values of all options.
+
+        Returns:
+            Result of the command.
+
+        Raises:
+            OutputError: A folder of an output does not exist, or an output would replace an input.
+        """
+        values = {p.name: (p.opts[0], ctx.params.get(p.name)) for p in self.params}
+        written = [(flag, Path(path)) for name, (flag, path) in values.items() if name in WRITTEN and path]
         for _, path in written:
             check_folder(path)
-        # a constraint as JSON has all that its file has, and the task frame: it may stand in the file's place
+        # a constraint as JSON contains its whole file, and the task frame: it may replace the file
         adds = self.name == "export" and ctx.params.get("to") == "json"
-        refuse_to_replace(written, [path for name, (_, path) in given.items() if name in READ and path and not adds])
+        refuse_to_replace(written, [path for name, (_, path) in values.items() if name in READ and path and not adds])
         return super().invoke(ctx)
 
 
 class ProgramHelp(TyperGroup):
-    """The program, whose help begins with an example as well."""
+    """Group of all commands, whose help begins with an example."""
 
     def format_help(self, ctx: Any, formatter: Any) -> None:
-        """What to try first, then the rest."""
+        """Write the first example to try, then the rest of the help.
+
+        Args:
+            ctx: Context of the parser.
+            formatter: Formatter to write to.
+        """
         formatter.write(f"Example: {PROGRAM_NAME} demo\n\n")
         super().format_help(ctx, formatter)
 
 
 def refuse_to_replace(outputs: Sequence[tuple[str, Path]], inputs: Iterable[str | Path | Sequence[str]]) -> None:
-    """Refuse to write over what is read, by whatever path, link or hard link it is named.
+    """Refuse to overwrite an input, whatever path, link or hard link names it.
 
     Args:
         outputs: Flags and paths.
@@ -136,27 +169,34 @@ def refuse_to_replace(outputs: Sequence[tuple[str, Path]], inputs: Iterable[str 
         if places[path.expanduser().resolve()] != flag:
             raise OutputError(f"{flag} {path} is the file that another option writes: name another file")
     there = [(flag, path.expanduser()) for flag, path in outputs if path.expanduser().exists()]
-    if not there:  # a file that is not there yet replaces nothing
+    if not there:  # new files replace nothing
         return
     texts = (text for one in inputs for text in ([one] if isinstance(one, str | Path) else one))
-    for source in (source for text in texts for source in files_behind(str(text))):
+    for source in (source for text in texts for source in input_files(str(text))):
         for flag, path in there:
-            if path.samefile(source) or path.resolve().name in _named_in(source):
+            if path.samefile(source) or path.resolve().name in _names_in(source):
                 raise OutputError(f"{flag} {path} would replace an input, {source}: name another file")
 
 
-def _named_in(source: Path) -> set[str]:
-    """Names, without folders, of the meshes and other files that a robot's description names."""
+def _names_in(source: Path) -> set[str]:
+    """Return the names, without folders, of the meshes and other files in a robot's description."""
     from manip_learn.robot.loading import DESCRIPTION_SUFFIXES
 
     if source.suffix not in DESCRIPTION_SUFFIXES:
         return set()
-    named = re.findall(r"""\bfile(?:name)?\s*=\s*["']([^"']+)""", source.read_text(encoding="utf-8", errors="replace"))
-    return {PurePosixPath(name).name for name in named}
+    names = re.findall(r"""\bfile(?:name)?\s*=\s*["']([^"']+)""", source.read_text(encoding="utf-8", errors="replace"))
+    return {PurePosixPath(name).name for name in names}
 
 
-def files_behind(text: str) -> Iterator[Path]:
-    """The file or folder that an argument stands for, and what is read of a folder."""
+def input_files(text: str) -> Iterator[Path]:
+    """Yield the file or folder that an argument names, and the recordings in a folder.
+
+    Args:
+        text: File, folder, driver as FILE.py:NAME, or name of a robot.
+
+    Yields:
+        Paths of existing files.
+    """
     from manip_learn.recordings.files import recording_files, recording_path
 
     path = recording_path(text)
@@ -165,7 +205,7 @@ def files_behind(text: str) -> Iterator[Path]:
     if not path.exists():
         from manip_learn.robot.description.catalogue import find_robot
 
-        with suppress(ManipLearnError):  # the command says what is wrong with it
+        with suppress(ManipLearnError):  # the command itself raises the error
             path = find_robot(text)
     if path.exists():
         yield path
@@ -177,6 +217,11 @@ def files_behind(text: str) -> Iterator[Path]:
 
 
 def flags_of(program: Any, arguments: Sequence[str]) -> set[str]:
-    """Flags that the command named in the arguments has; `program` is typer's group of commands."""
+    """Return the flags of the command that is named in the arguments.
+
+    Args:
+        program: Group of commands of typer.
+        arguments: Words of a command line.
+    """
     command = next((program.commands[a] for a in arguments if a in program.commands), program)
     return {flag for parameter in command.params for flag in (*parameter.opts, *parameter.secondary_opts)}

@@ -13,7 +13,7 @@ import manip_learn as ml
 from manip_learn.commands.loading import load_constraint
 from manip_learn.commands.options import ControlOptions, vector
 from manip_learn.commands.output import Answer, Progress, cells, place
-from manip_learn.commands.simulated import scene_of, start_posture, with_rollout
+from manip_learn.commands.simulated import load_scene, start_posture, write_rollout
 from manip_learn.constraint.features.feature_map import sum_in_words
 from manip_learn.constraint.features.mechanism_rows import WeighedVelocity
 from manip_learn.control.simulation import WayDone, leads_away, simulate_way
@@ -22,7 +22,7 @@ from manip_learn.errors import TargetError, counted
 from manip_learn.linalg import complement_rows
 from manip_learn.planning.stations import margin_of
 
-# curve or surface that the held rows keep the hand on
+# curve or surface on which the held rows keep the hand
 _PLACES = {"line": "line", "plane": "plane", "hinge": "circle", "ball": "sphere", "screw": "helix", "other": "cylinder"}
 _WAY = (
     "time: {seconds:.1f} s; off: {millimetres:.1f} mm; fastest: {fastest_joint[share_of_limit]:.0%}; "
@@ -35,14 +35,15 @@ _ROLLOUT = (
 
 
 class Aim(NamedTuple):
-    """How a typed target and the end of a motion compare.
+    """Comparison of a typed target with the end of a motion.
 
     Attributes:
         distance: Full distance from the tip to the target [m]; None if the target has no position.
         error: Distance to the target along all rows that it has numbers for [m or rad].
         off: Distance from the target along the held rows [m or rad]: 0 on the line, the plane, ... through the target.
         ignored: Directions of the target that are not driven, in words.
-        crossed: How far the held rows had to move to come to the target's [m or rad]; 0 where they may (b varies).
+        crossed: Motion of the held rows that was necessary to reach the target [m or rad]; 0 where they may move (b
+            varies).
     """
 
     distance: float | None
@@ -55,35 +56,42 @@ class Aim(NamedTuple):
 def control(options: ControlOptions, progress: Progress) -> Answer:
     """Simulate a controller; write the rollout and a replay to files if they are named.
 
+    Args:
+        options: Options of the command.
+        progress: Function of the name of a stage and its completed share.
+
+    Returns:
+        Outcome of the motion, with the files that were written.
+
     Raises:
-        TargetError: A target beside a way, an unknown word for `rows`, a plan without a way; with `check`, a way or a
-            target that is not reached, before anything is written.
-        NoPlanError: With `--plan`, from no posture can the whole way be done.
-        ManipLearnError: Anything else that is wrong with the robot, the constraint file, the numbers or the output.
+        TargetError: A target together with a distance, an unknown word for `rows`, or a plan without a motion; with
+            `check`, a distance or a target that is not reached, before anything is written.
+        NoPlanError: With `--plan`, the whole motion is infeasible from every configuration.
+        ManipLearnError: Another error in the robot, the constraint file, the numbers or the output.
     """
     target = vector("--target", options.target)
-    named = (options.direction or "").strip()  # a row of the mechanism, by its name
-    direction = named if named.isidentifier() else vector("--direction", options.direction)
+    word = (options.direction or "").strip()  # name of a row of the mechanism
+    direction = word if word.isidentifier() else vector("--direction", options.direction)
     constraint, robot = load_constraint(options.robot, options.constraint, options)
     named_way = options.along is not None or options.turn is not None
     if target is not None and named_way:
-        raise TargetError("--target names the point, --along and --turn the way: give one of them")
+        raise TargetError("--target names a point, --along and --turn a distance: give one of them")
     moves = named_way or (target is None and (constraint.shown is not None or direction is not None))
     if options.rows not in ("all", "held"):
         raise TargetError(f"--rows must be all or held, not {options.rows!r}")
     if not options.plan and (options.seed, options.scene) != (0, None):
         raise TargetError("--seed and --scene go with --plan")
-    own = (options.policy, options.rest, options.duration, options.inverse) != ("manipulability", None, None, "damped")
-    if options.plan and own:
+    used = (options.policy, options.rest, options.duration, options.inverse) != ("manipulability", None, None, "damped")
+    if options.plan and used:
         raise TargetError("a plan has its own null-space motion: leave --policy, --rest, --duration and --inverse out")
     q0, begins = start_posture(robot, constraint, options.start, moves or target is not None)
     if moves:
-        angle, speed, shown = options.turn, options.speed, constraint.shown
-        if speed is not None and (angle is not None or (options.along is None and shown and shown.unit == "rad")):
+        angle, speed, demo = options.turn, options.speed, constraint.shown
+        if speed is not None and (angle is not None or (options.along is None and demo and demo.unit == "rad")):
             speed = math.radians(speed)
         angle = None if angle is None else math.radians(angle)
-        kept = {"keep_orientation": options.keep_orientation, "beyond_shown": options.beyond_shown}
-        task: ml.Task = ml.motion(constraint, options.along, angle, direction=direction, speed=speed, **kept)
+        flags = {"keep_orientation": options.keep_orientation, "beyond_shown": options.beyond_shown}
+        task: ml.Task = ml.motion(constraint, options.along, angle, direction=direction, speed=speed, **flags)
     elif target is None:
         task = ml.Hold() if constraint.intention is None else ml.motion(constraint)
     elif options.rows == "all" and isinstance(constraint.features, WeighedVelocity):
@@ -95,7 +103,7 @@ def control(options: ControlOptions, progress: Progress) -> Answer:
     if options.check and not answer.content["reached"]:
         because = f": stopped by {answer.content['stopped_by']}" if isinstance(task, ml.FreeDirection) else ""
         raise TargetError(f"{answer.title}{because}; ask for less, or start elsewhere (--start)", code="not-reached")
-    return with_rollout(replace(answer, sentences=[begins, *answer.sentences]), rollout, robot, "control", options)
+    return write_rollout(replace(answer, sentences=[begins, *answer.sentences]), rollout, robot, "control", options)
 
 
 def run(
@@ -106,29 +114,32 @@ def run(
     q0: np.ndarray,
     progress: Progress,
 ) -> tuple[ml.Rollout, Answer]:
-    """Simulate a task, planned or not, and say how far it came.
+    """Simulate a task, planned or not, and describe its outcome.
 
     Args:
-        options: Plan, or policy, gains, duration and step. If `target` was typed, it is reached when the tip is there;
-            else, when the rows that are driven are.
-        constraint: What is held.
+        options: Plan, or policy, gains, duration and step. With a typed `target`, the task is completed when the tip is
+            there; otherwise when the driven rows are.
+        constraint: Constraint to keep.
         robot: Its robot.
-        task: The way or the target.
-        q0: Start posture.
+        task: Motion or target.
+        q0: Start configuration (nq,).
         progress: As for `simulate`.
 
+    Returns:
+        Rollout, and its outcome as an answer.
+
     Raises:
-        TargetError: A plan of a task that is no way; or as `plan` raises it.
-        NoPlanError: From no posture can the whole way be done.
+        TargetError: A plan of a task that is no motion; or the error of `plan`.
+        NoPlanError: The whole motion is infeasible from every configuration.
     """
-    dt, way, found = options.dt, None, None
+    dt, way, result = options.dt, None, None
     if options.plan:
         if not isinstance(task, ml.FreeDirection):
-            raise TargetError("only a way is planned: --plan goes with --along or --turn")
-        around = scene_of(options.scene, robot)
-        found = ml.plan(constraint, task, q0, options.seed, scene=around, dt=dt, progress=progress)
-        rollout = found.rollout
-        way = replace(found.outcome, begins=float(found.approach.time[-1]) + (found.outcome.begins or 0.0))
+            raise TargetError("a plan needs a motion: use --plan with --along or --turn")
+        around = load_scene(options.scene, robot)
+        result = ml.plan(constraint, task, q0, options.seed, scene=around, dt=dt, progress=progress)
+        rollout = result.rollout
+        way = replace(result.outcome, begins=float(result.approach.time[-1]) + (result.outcome.begins or 0.0))
     else:
         policy = null_policy(options.policy, task, constraint, robot, options.gain, vector("--rest", options.rest))
         law = ml.ResolvedRateController(constraint, task, policy, options.inverse, dt=dt)  # type: ignore[arg-type]
@@ -141,36 +152,39 @@ def run(
             enough = max(5.0, math.log(far) / options.task_gain if options.task_gain > 0.0 else 5.0)  # [s]
             length = enough if options.duration is None else options.duration
             rollout = ml.simulate(robot, law, q0, length, dt, progress=progress)
-    aim = aim_of(constraint, task, rollout) if options.target and isinstance(task, ml.PointAttractor) else None
+    aim = compare_target(constraint, task, rollout) if options.target and isinstance(task, ml.PointAttractor) else None
     answer = outcome(constraint, rollout, options.tolerance, way, aim)
-    if found is not None:
-        clear = f"; clear of {', '.join(found.around.names)}" if found.around.names else ""
-        said = f"plan: {found.sentence}; of {counted(found.candidates, 'posture')} that take hold{clear}"
-        content, warnings = answer.content | {"plan": found.to_dict()}, [*found.notes, *answer.warnings]
-        answer = replace(answer, content=content, remarks=[said, *answer.remarks], warnings=warnings)
+    if result is not None:
+        clear = f"; clear of {', '.join(result.around.names)}" if result.around.names else ""
+        remark = f"plan: {result.sentence}; of {counted(result.candidates, 'posture')} that take hold{clear}"
+        content, warnings = answer.content | {"plan": result.to_dict()}, [*result.notes, *answer.warnings]
+        answer = replace(answer, content=content, remarks=[remark, *answer.remarks], warnings=warnings)
     return rollout, answer
 
 
 def outcome(
     constraint: ml.Constraint, rollout: ml.Rollout, tolerance: float, way: WayDone | None = None, aim: Aim | None = None
 ) -> Answer:
-    """Say what a rollout did, in numbers and in words.
+    """Describe the outcome of a rollout in numbers and in words.
 
     Args:
-        constraint: What is held.
+        constraint: Constraint to keep.
         rollout: The motion.
         tolerance: Final error that counts as reached [m or rad].
-        way: What became of a way along the mechanism; None without one.
-        aim: What became of a typed target; None without one.
+        way: Outcome of a motion along the mechanism; None without one.
+        aim: Outcome of a typed target; None without one.
+
+    Returns:
+        Answer with the rows of the result table.
     """
     r, error = rollout, float(rollout.task_error[-1])
-    done = way is not None and way.is_done
+    completed = way is not None and way.is_done
     last = r.status[-max(1, len(r) // 20) :]
     at_rest = last.count(ml.Status.STALLED) + last.count(ml.Status.SINGULAR) > 0.5 * len(last)
     content: dict[str, Any] = {
         "sentence": "",
-        "reached": done if way is not None else (error if aim is None else aim.error) <= tolerance,
-        "stalled": at_rest and error > tolerance and not done,
+        "reached": completed if way is not None else (error if aim is None else aim.error) <= tolerance,
+        "stalled": at_rest and error > tolerance and not completed,
         "tip_to_target": None if aim is None else aim.distance,
         "ignored_target_axes": [] if aim is None else list(aim.ignored),
         "final_error": error,
@@ -193,11 +207,11 @@ def outcome(
         shares = {"least": float(later.min()), "unhindered": r.status.count(ml.Status.OK) / len(r)}
         facts = cells(content | shares, _ROLLOUT)
     else:
-        verb, content["hold"] = _deed(constraint, r, way)
+        verb, content["hold"] = _effect(constraint, r, way)
         digits, unit = (3, "m") if way.unit == "m" else (1, "degrees")
-        far, wanted = (f"{abs(content[key]):.{digits}f}" for key in ("done", "wanted"))
-        content["sentence"] = f"{verb} {far} of {wanted} {unit}"
-        facts = {verb: f"{far} {content['unit']}"} | cells(content | {"millimetres": 1e3 * way.deviation}, _WAY)
+        moved, requested = (f"{abs(content[key]):.{digits}f}" for key in ("done", "wanted"))
+        content["sentence"] = f"{verb} {moved} of {requested} {unit}"
+        facts = {verb: f"{moved} {content['unit']}"} | cells(content | {"millimetres": 1e3 * way.deviation}, _WAY)
     return Answer(
         content,
         title=content["sentence"],
@@ -210,7 +224,7 @@ def outcome(
 
 
 def _arrival(reached: bool, aim: Aim | None, known: ml.Mechanism | None, tolerance: float) -> str:
-    """Return in words where the hand ended without a way."""
+    """Return the final position of the hand in words, for a task without a motion along the mechanism."""
     if aim is None:
         return "held what is held: --along, --turn or --target names a task"
     if reached:
@@ -224,39 +238,48 @@ def _arrival(reached: bool, aim: Aim | None, known: ml.Mechanism | None, toleran
 
 
 def _obstacles(content: dict[str, Any], way: WayDone | None, aim: Aim | None) -> Iterator[str]:
-    """Yield in sentences what kept a rollout from its goal."""
-    left, tolerance = content["final_error"], content["tolerance"]
+    """Yield the reasons why a rollout did not reach its goal, in sentences."""
+    error, tolerance = content["final_error"], content["tolerance"]
     if way is not None and way.stopped_by is not None:
         yield f"stopped by {way.stopped_by}"
-    if way is not None and way.strays:  # what is rigid pushes back
-        far = f"the hand strayed {1e3 * way.deviation:.1f} mm from what holds it"
-        yield f"{far}, near a singularity or a limit: start in another posture"
+    if way is not None and way.strays:  # a rigid mechanism pushes back
+        far = f"the hand deviated {1e3 * way.deviation:.1f} mm from the mechanism"
+        yield f"{far}, near a singularity or a limit: start from another posture"
     if aim is not None and aim.crossed > tolerance:
-        far = f"the hand moved {aim.crossed:.3g} along what the recordings show to be blocked"
-        yield f"{far}, to come to the target: a hand that holds the thing needs a target on its way, or --along"
+        far = f"the hand moved {aim.crossed:.3g} along directions that the recordings show to be blocked"
+        yield f"{far}, to reach the target: a hand that grasps the object needs a target on its path, or --along"
     if aim is not None and aim.ignored and not content["reached"]:
         yield f"--rows held leaves {', '.join(aim.ignored)} of the target free"
     if way is None and content["stalled"]:
-        yield f"stalled, {left:.3g} left: limits or a singularity block the rest; try a nearer target or --start"
-    elif way is None and left > tolerance:
-        yield f"{left:.3g} left after {content['duration']:g} s, still moving: try a longer --duration"
+        yield f"stalled, {error:.3g} left: limits or a singularity block the rest; try a nearer target or --start"
+    elif way is None and error > tolerance:
+        yield f"{error:.3g} left after {content['duration']:g} s, still moving: try a longer --duration"
 
 
-def _deed(constraint: ml.Constraint, rollout: ml.Rollout, way: WayDone) -> tuple[str, list[float] | None]:
-    """Return what a way did to its mechanism, and where the hand was when it began, in the base frame [m]."""
-    known, frame, robot = constraint.mechanism, getattr(constraint.features, "frame", None), constraint.robot
-    verb = "turned" if known is not None and known.type in ("screw", "ball") else "moved"
+def _effect(constraint: ml.Constraint, rollout: ml.Rollout, way: WayDone) -> tuple[str, list[float] | None]:
+    """Return the effect of a motion on its mechanism, in words, and the position of the grasp in the base frame [m]."""
+    mechanism, frame, robot = constraint.mechanism, getattr(constraint.features, "frame", None), constraint.robot
+    verb = "turned" if mechanism is not None and mechanism.type in ("screw", "ball") else "moved"
     if robot is None or frame is None:
         return verb, None
     begins = 0 if way.begins is None else int(np.searchsorted(rollout.time, way.begins - 1e-9))
     first, last = (robot.position(q, frame) for q in rollout.q[[begins, -1]])
-    if known is not None and known.type in ("line", "hinge"):  # a hand that pulls comes towards the base
-        verb = "pushed in" if known.type == "line" and leads_away(first, last - first) else "opened"
+    if mechanism is not None and mechanism.type in ("line", "hinge"):  # a hand that pulls comes towards the base
+        verb = "pushed in" if mechanism.type == "line" and leads_away(first, last - first) else "opened"
     return verb, None if way.begins is None else first.tolist()
 
 
-def aim_of(constraint: ml.Constraint, task: ml.PointAttractor, rollout: ml.Rollout) -> Aim:
-    """Return what became of a target at the end of a motion."""
+def compare_target(constraint: ml.Constraint, task: ml.PointAttractor, rollout: ml.Rollout) -> Aim:
+    """Compare a target with the end of a motion.
+
+    Args:
+        constraint: Constraint with the rows of the target.
+        task: Task with the target.
+        rollout: The motion.
+
+    Returns:
+        Distances to the target, along all rows and along the held rows.
+    """
     features, q = constraint.features, rollout.q[-1]
     if task.target.shape != (features.n_rows,):  # given along the constrained rows: nothing of it is ignored
         error = task.error(constraint, q, 0.0)

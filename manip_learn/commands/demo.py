@@ -1,4 +1,4 @@
-"""`manip-learn demo`: the main job, on recordings that come with the package."""
+"""`manip-learn demo`: learn and reproduce a task from recordings that come with the package."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ class DemoScene(NamedTuple):
 
     Attributes:
         recordings: Folder among the shipped recordings.
-        frame: The frame that was guided.
-        title: For the page.
-        story: What the start is, and how typical its outcome, for the terminal.
+        frame: Frame that was guided.
+        title: Title of the page.
+        story: Description of the start and its typical outcome, for the terminal.
         start: Joint positions [rad].
         control: Options of the rollouts: `rest` is the rest posture of the attractor policy.
         learn: Options for learning.
-        target: For the feature rows, in the base frame; None where the hand does what was shown, without turning.
+        target: Target of the feature rows, in the base frame; None to repeat the demonstrated motion, without turning.
     """
 
     recordings: str
@@ -59,17 +59,26 @@ SCENES = {
         "The arm starts stretched out, the paper's singular start but for a tenth of a degree.",
         start=tuple(np.radians([90.1, 0.0, 0.0]).tolist()),
         control={"rest": ",".join(map(str, np.radians([10.0, -10.0, 10.0]))), "duration": 8.0},
-        learn={"axes": "planar", "velocities": "recorded"},  # which made the positions, by Euler steps
+        learn={"axes": "planar", "velocities": "recorded"},  # the positions are Euler steps of these velocities
         target=(0.0, 0.5, 0.0),
     ),
 }
 
 
 def demo(options: DemoOptions, progress: Progress) -> Answer:
-    """Learn, move from one nearly singular start without and with what was learnt, write constraint, rollouts, replay.
+    """Learn a task, reproduce it from one nearly singular start without and with singularity avoidance, and write a
+    replay.
 
-    "without" leaves the spare joints at rest; "with" plans the posture of hold where a fixture is moved, and climbs mu
-    where a target is reached. `all_policies` compares a plan and all policies in one picture.
+    "without" has no null-space motion; "with" plans the grasp configuration if a fixture is moved, and climbs mu if a
+    target is reached. `all_policies` compares a plan and all policies in one picture. The constraint and the rollouts
+    are written too.
+
+    Args:
+        options: Options of the command.
+        progress: Function of the name of a stage and its completed share.
+
+    Returns:
+        Answer of learning, with a row for each rollout.
 
     Raises:
         UnknownNameError: There is no demo for that robot.
@@ -80,10 +89,10 @@ def demo(options: DemoOptions, progress: Progress) -> Answer:
     scene, out = SCENES[options.robot], options.out
     progress("learning from the recordings", 0.0)
     shipped, file = str(shipped_recordings() / scene.recordings), out / "constraint.json"
-    learner, learnt = fit(LearnOptions(options.robot, [shipped], scene.frame, out=file, **scene.learn))
+    learner, answer_learning = fit(LearnOptions(options.robot, [shipped], scene.frame, out=file, **scene.learn))
     robot, constraint = ml.load_robot(options.robot), learner.constraint_
     rollouts, answers = dict[str, ml.Rollout](), dict[str, Answer]()
-    if scene.target is None:  # the pause [s] at the handle is what a gripper takes to close
+    if scene.target is None:  # pause at the handle [s]: a gripper takes this long to close
         task, best = ml.motion(constraint, keep_orientation=True, pause=0.5), "plan"
     else:
         task, best = ml.PointAttractor(scene.target), "manipulability"
@@ -98,31 +107,31 @@ def demo(options: DemoOptions, progress: Progress) -> Answer:
         answers[name] = answer.with_files(rollouts[name].save(out / f"{name}.npz"))
     contents = {name: answer.content for name, answer in answers.items()}
     progress("writing the replay", 0.9)
-    is_pair = scene.target is None and not options.all_policies  # both reach a target, on much the same way
-    shown = {"tip": scene.frame, "report": learner.report_, "notes": learnt.notes, "title": scene.title}
+    is_pair = scene.target is None and not options.all_policies  # with a target, both take nearly the same path
+    arguments = {"tip": scene.frame, "report": learner.report_, "notes": answer_learning.notes, "title": scene.title}
     if is_pair:
-        shown |= {"title": _difference(contents), "side_by_side": True, "align": "grasp"}
+        arguments |= {"title": _difference(contents), "side_by_side": True, "align": "grasp"}
     opens = options.browser and not options.as_json
-    page = ml.replay(robot, rollouts, out / "replay.html", open_browser=opens, **shown)
+    page = ml.replay(robot, rollouts, out / "replay.html", open_browser=opens, **arguments)
     progress("done", 1.0)
     plans = (f"{n}: {a.remarks[0].removeprefix('plan: ')}" for n, a in answers.items() if a.content["plan"])
     stops = (f"{n}: stopped by {c['stopped_by']}" for n, c in contents.items() if c["stopped_by"])
     return replace(
-        learnt,
-        content={"constraint": learnt.content, "rollouts": contents, "html": page.html, "bytes": page.bytes},
-        remarks=[*learnt.remarks, scene.story, *plans],
+        answer_learning,
+        content={"constraint": answer_learning.content, "rollouts": contents, "html": page.html, "bytes": page.bytes},
+        remarks=[*answer_learning.remarks, scene.story, *plans],
         rows=[{"policy": name, **answer.facts} for name, answer in answers.items()],
-        warnings=[*learnt.warnings, *stops],
+        warnings=[*answer_learning.warnings, *stops],
         page=page,
         following="",
     )
 
 
 def _difference(contents: Mapping[str, Mapping[str, Any]]) -> str:
-    """Say what each rollout did: "Without: 1 of 23 cm, then it stops at a singularity. With: all 23 cm."."""
+    """Describe each rollout: "Without: 1 of 23 cm, then it stops at a singularity. With: all 23 cm."."""
     sentences = []
     for name, way in contents.items():
-        done, wanted, stopped = 100 * way["done"], 100 * way["wanted"], way["stopped_by"]
-        far = f"all {done:.0f} cm" if stopped is None else f"{done:.0f} of {wanted:.0f} cm, then it stops at {stopped}"
+        cm, total, stopped = 100 * way["done"], 100 * way["wanted"], way["stopped_by"]
+        far = f"all {cm:.0f} cm" if stopped is None else f"{cm:.0f} of {total:.0f} cm, then it stops at {stopped}"
         sentences.append(f"{name.capitalize()}: {far}.")
     return " ".join(sentences)

@@ -1,4 +1,4 @@
-"""`manip-learn export`: recordings and rollouts in other formats, and a learnt task for other controllers."""
+"""`manip-learn export`: write recordings and rollouts in other formats, and a learnt task for other controllers."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 import manip_learn as ml
 from manip_learn.atomic_write import write_atomically
 from manip_learn.commands.command_line import refuse_to_replace
-from manip_learn.commands.loading import load_constraint, load_for_files, locks_of_files
+from manip_learn.commands.loading import load_constraint, load_for_files, locked_joint_notes
 from manip_learn.commands.options import ExportOptions, vector
 from manip_learn.commands.output import Answer, Progress
 from manip_learn.constraint.constraint import read_constraint_file
@@ -31,9 +31,16 @@ _FORMATS: dict[str, tuple[tuple[str, ...], Callable[[SavedMotion], bytes]]] = {
 def export(options: ExportOptions, progress: Progress) -> Answer:
     """Read recordings or rollouts, and write them in another format.
 
+    Args:
+        options: Options of the command.
+        progress: Function of the name of a stage and its completed share.
+
+    Returns:
+        Answer with the names of the files.
+
     Raises:
-        OutputError: A format that is not known, several trajectories for one file, or it cannot be written.
-        ManipLearnError: Anything that is wrong with the robot or the recordings.
+        OutputError: An unknown format, several trajectories for one file, or a file that cannot be written.
+        ManipLearnError: An error in the robot or the recordings.
     """
     progress("writing", 0.0)
     if options.to is not None and options.to in WRITERS:
@@ -42,8 +49,8 @@ def export(options: ExportOptions, progress: Progress) -> Answer:
     by_ending = next((name for name, (endings, _) in _FORMATS.items() if out.suffix.lower() in endings), None)
     kind = options.to or by_ending or "lerobot"
     if kind not in (*_FORMATS, "lerobot"):
-        known = ", ".join([*_FORMATS, "lerobot", *WRITERS])
-        raise OutputError(f"--to must be one of {known}, not {options.to!r}")
+        formats = ", ".join([*_FORMATS, "lerobot", *WRITERS])
+        raise OutputError(f"--to must be one of {formats}, not {options.to!r}")
     if (options.to is None and by_ending is None and out.suffix) or by_ending not in (None, kind):
         raise OutputError(
             f"cannot write {str(out)!r} as {kind}: the ending says the format, .mcap, .csv, .yaml or .json; "
@@ -67,34 +74,34 @@ def export(options: ExportOptions, progress: Progress) -> Answer:
             safe = [f"{i:0{len(str(len(motions) - 1))}d}_{name}" for i, name in enumerate(safe)]
         names = [out if by_ending else out / (name + endings[0]) for name in safe]
         refuse_to_replace([("--out", name) for name in names], options.files)
-        written = [content_of(m) for m in motions]  # nothing is written unless all can be
+        written = [content_of(m) for m in motions]  # convert all before the first file is written
         files = list(map(write_atomically, names, written))
-    notes = [*locks_of_files(robot, options), *demonstrations.notes]
-    return _exported(kind, files, notes, len(motions), sum(map(len, motions)))
+    notes = [*locked_joint_notes(robot, options), *demonstrations.notes]
+    return _written(kind, files, notes, len(motions), sum(map(len, motions)))
 
 
-def _exported(kind: str, files: Sequence[Path], notes: list[str], trajectories: int = 0, samples: int = 0) -> Answer:
-    """Return the files, or the folder of a LeRobot data set, as an answer; of a task without numbers."""
+def _written(kind: str, files: Sequence[Path], notes: list[str], trajectories: int = 0, samples: int = 0) -> Answer:
+    """Return the files, or the folder of a LeRobot data set, as an answer; without numbers for a task."""
     content = {"format": kind, "files": files, "trajectories": trajectories, "samples": samples, "notes": notes}
-    said = f"{counted(trajectories, 'trajectory')}, {counted(samples, 'sample')}" if trajectories else ""
-    return Answer(content, remarks=[said], notes=notes, written=[f"{kind}: {file}" for file in files])
+    text = f"{counted(trajectories, 'trajectory')}, {counted(samples, 'sample')}" if trajectories else ""
+    return Answer(content, remarks=[text], notes=notes, written=[f"{kind}: {file}" for file in files])
 
 
 def _export_task(options: ExportOptions, text_of: Callable[[ml.Constraint, ArrayLike], str]) -> Answer:
-    """Write a constraint for another controller; it says in words what it holds."""
+    """Write a constraint for another controller, with its task frame in words."""
     if len(options.files) != 1:
         raise OutputError(f"--to {options.to} writes one constraint file, got {', '.join(options.files)}")
     constraint, robot = load_constraint(options.robot, options.files[0], options)
-    shown, at = constraint.provenance.get("postures"), vector("--at", options.at)
+    postures, at = constraint.provenance.get("postures"), vector("--at", options.at)
     if at is not None:
         q, where = robot.checked_posture(at), ""
     else:
-        q = robot.checked_posture(shown[len(shown) // 2]) if shown else robot.neutral()
-        where = "in the middle of the postures shown" if shown else "at the robot's neutral posture"
+        q = robot.checked_posture(postures[len(postures) // 2]) if postures else robot.neutral()
+        where = "in the middle of the postures shown" if postures else "at the robot's neutral posture"
     frame = constraint.task_frame(q)
     text = text_of(constraint, q)
-    if options.to == "json":  # all that the file holds, the steps of a skill too
+    if options.to == "json":  # the whole file, with the steps of a skill
         text = as_json(read_constraint_file(Path(options.files[0])) | frame.to_dict())
     file = write_atomically(options.out, text)
     notes = [*constraint.notes, f"task frame: {frame.sentence}{where and f', {where} (--at takes another)'}"]
-    return _exported(str(options.to), [file], notes)
+    return _written(str(options.to), [file], notes)

@@ -1,4 +1,4 @@
-"""`manip-learn learn`: recordings -> constraint file."""
+"""`manip-learn learn`: learn a constraint file from recordings."""
 
 from __future__ import annotations
 
@@ -27,28 +27,43 @@ _REFERENCES: dict[str, tuple[Reference, ...]] = {"world": ("world",), "local": (
 
 
 def learn_task(options: LearnOptions, progress: Progress = silent) -> Answer:
-    """Learn a constraint from recordings, as `fit` does."""
+    """Learn a constraint from recordings, as `fit` does.
+
+    Args:
+        options: Options of the command.
+        progress: Function of the name of a stage and its completed share.
+
+    Returns:
+        Report as an answer.
+    """
     return fit(options, progress)[1]
 
 
 def fit(options: LearnOptions, progress: Progress = silent) -> tuple[ml.ConstraintLearner, Answer]:
     """Learn a constraint from recordings; write it, and a replay of the recordings, to files if they are named.
 
-    With `relative_to` the velocity of the frame is seen from that other one, in its axes; `reference` does not count.
+    With `relative_to` the velocity of the frame is relative to that other frame, in its axes; `reference` is ignored.
+
+    Args:
+        options: Options of the command.
+        progress: Function of the name of a stage and its completed share.
+
+    Returns:
+        Fitted learner, and the report as an answer.
 
     Raises:
         FeatureError: Unknown axes or reference.
-        RecordingError: An option that works on recordings in memory, together with `dask`.
-        ManipLearnError: Anything else that is wrong with the robot, the recordings, the settings or the output.
+        RecordingError: An option for recordings in memory, together with `dask`.
+        ManipLearnError: Another error in the robot, the recordings, the settings or the output.
     """
     references = _REFERENCES.get(options.reference)
     if references is None:
         raise FeatureError(f"--reference must be world, local or auto, not {options.reference!r}")
     in_memory = {"--html": options.html, "--from": options.start, "--until": options.until}
-    asked = [flag for flag, value in in_memory.items() if value is not None]
-    if options.dask is not None and asked:
-        instead = "give one of the two" if asked[0] == "--html" else "cut the files first"
-        raise RecordingError(f"{asked[0]} works on recordings in memory, not with --dask: {instead}", code="option")
+    flags = [flag for flag, value in in_memory.items() if value is not None]
+    if options.dask is not None and flags:
+        instead = "give one of the two" if flags[0] == "--html" else "cut the files first"
+        raise RecordingError(f"{flags[0]} works on recordings in memory, not with --dask: {instead}", code="option")
     progress("reading", 0.0)
     robot, demos, frame, notes = load_to_learn(options, progress)
     if isinstance(demos, ml.Demonstrations) and (options.start is not None or options.until is not None):
@@ -56,107 +71,114 @@ def fit(options: LearnOptions, progress: Progress = silent) -> tuple[ml.Constrai
     rows: list[ml.FeatureMap] = [ml.FrameJacobian(robot, frame, options.axes, r) for r in references]
     if options.relative_to is not None:
         rows = [ml.RelativeFrameJacobian(robot, frame, options.relative_to, options.axes)]
-    # what these are is checked by the learner, which has them by the same names
+    # the learner checks these values; its arguments have the same names
     names = "n_constraints estimator phases mechanism strength keep_habits joint_offset_std link_error_std seed".split()
     settings = {name: getattr(options, name) for name in names}
     learner = ml.ConstraintLearner(rows, **{name: value for name, value in settings.items() if value is not None})
     with dask_client(options.dask) as client:
         learner.fit(demos, client=client, progress=progress)
     written = learner.skill_.save(options.out) if options.out is not None else None
-    answer = described(learner.constraints_, learner.reports_)
+    answer = learning_answer(learner.constraints_, learner.reports_)
     notes += answer.notes
     answer = replace(answer, content=answer.content | {"frame": frame, "notes": notes}, notes=notes)
     page = None
     if options.html is not None and isinstance(demos, ml.Demonstrations):
-        named = dict(zip(distinct_names(demos), demos, strict=True))
-        shown = {"constraint": learner.constraints_ or None, "report": learner.report_, "notes": answer.notes}
-        page = ml.replay(robot, named, options.html, tip=frame, open_browser=False, **shown)
-    following = _following(options, learner.skill_.constraints[0], learner.constraint_, written)
+        motions = dict(zip(distinct_names(demos), demos, strict=True))
+        arguments = {"constraint": learner.constraints_ or None, "report": learner.report_, "notes": answer.notes}
+        page = ml.replay(robot, motions, options.html, tip=frame, open_browser=False, **arguments)
+    following = _next_command(options, learner.skill_.constraints[0], learner.constraint_, written)
     return learner, replace(answer.with_files(written, page), following=following)
 
 
-def described(constraints: Sequence[ml.Constraint], reports: Sequence[LearningReport]) -> Answer:
-    """Return constraints with the evidence for them as an answer; the first, best supported, is the first to be told.
+def learning_answer(constraints: Sequence[ml.Constraint], reports: Sequence[LearningReport]) -> Answer:
+    """Return constraints with their evidence as an answer; the first, best supported one comes first.
 
     Args:
-        constraints: What was learnt.
-        reports: The evidence for each of them.
+        constraints: Learnt constraints.
+        reports: Evidence of each of them.
     """
     constraint, report = constraints[0], reports[0]
-    found, shown, title, sentences = report.mechanism, constraint.shown, report.sentence, list[str]()
-    if found is not None and shown is not None:
-        words = SHAPES[found.kind][0]
-        title = f"{words[0].upper()}{words[1:]}, moved {way_in_words(shown.extent, shown.unit)} when it was shown."
+    mechanism, demo, title, sentences = report.mechanism, constraint.shown, report.sentence, list[str]()
+    if mechanism is not None and demo is not None:
+        words = SHAPES[mechanism.kind][0]
+        title = f"{words[0].upper()}{words[1:]}, moved {way_in_words(demo.extent, demo.unit)} when it was shown."
         sentences = report.sentence.split(f" It looks like {words}. ")
     contents = []
     for c, r in zip(constraints, reports, strict=True):
         rows = {"selection": c.selection.tolist(), "axes": r.row_names, "shown": c.provenance.get("shown")}
         contents.append(r.to_dict() | rows)
-    held = "held rows" if report.kind == "motion-constrained" else "steered rows"
+    heading = "held rows" if report.kind == "motion-constrained" else "steered rows"
     remarks = [f"constraint {n}: {other.sentence}" for n, other in enumerate(reports[1:], start=2)]
     remarks += RecordingOverview(report.phases).sentences()
-    for n, meant in enumerate((c.shown or c.intention for c in constraints), start=1):
-        if meant is not None:
-            remarks.append((f"constraint {n}: " if len(constraints) > 1 else "") + meant.sentence)
+    for n, motion in enumerate((c.shown or c.intention for c in constraints), start=1):
+        if motion is not None:
+            remarks.append((f"constraint {n}: " if len(constraints) > 1 else "") + motion.sentence)
     return Answer(
         contents[0] | {"constraints": contents},
         title=title,
         sentences=sentences,
-        facts={held: constraint.rows_in_words(), **report.facts()},
+        facts={heading: constraint.rows_in_words(), **report.facts()},
         remarks=remarks,
         warnings=[f"warning: {warning}" for warning in report.warnings],
         notes=report.notes,
     )
 
 
-def _following(options: LearnOptions, whole: ml.Constraint, constraint: ml.Constraint, out: Path | None) -> str:
-    """Return the command to type next: it does what was shown, or writes what was learnt; empty if nothing is free.
+def _next_command(options: LearnOptions, whole: ml.Constraint, constraint: ml.Constraint, out: Path | None) -> str:
+    """Return the next command: it reproduces the task, or writes the constraint; empty if no direction is free.
 
     Args:
-        options: As they were given.
-        whole: All rows of the hand.
-        constraint: The best supported one.
-        out: File of what was learnt.
+        options: Options of `learn`.
+        whole: Constraint with all rows of the hand.
+        constraint: Best supported constraint.
+        out: File of the constraint; None if it was not written.
     """
-    meant, seen = constraint.intention, ["--html", "run.html"]
+    aim, replay = constraint.intention, ["--html", "run.html"]
     if out is None:
         return shlex.join([*TYPED.get(), "--out", "task.json"]) if TYPED.get() else ""
-    told = [options.robot, str(out), *options.words]
-    if meant is not None:
-        flags = [] if meant.common else ["--rows", "held", "--target", ",".join(f"{x:.3g}" for x in meant.targets[0])]
-        return shlex.join([PROGRAM_NAME, "control", *told, *(flags or seen)])
+    words = [options.robot, str(out), *options.words]
+    if aim is not None:
+        flags = [] if aim.common else ["--rows", "held", "--target", ",".join(f"{x:.3g}" for x in aim.targets[0])]
+        return shlex.join([PROGRAM_NAME, "control", *words, *(flags or replay)])
     flags = {"": dict[str, Any](), "--along 0.1": {"distance": 0.1}, "--turn 10": {"angle": math.radians(10.0)}}
     for typed, way in flags.items():
         with suppress(ml.ManipLearnError):
             if typed or constraint.shown:
                 ml.motion(whole, **way)
-                does = "control" if typed else "repeat"
-                return shlex.join([PROGRAM_NAME, does, *told, *typed.split(), *seen])
+                command = "control" if typed else "repeat"
+                return shlex.join([PROGRAM_NAME, command, *words, *typed.split(), *replay])
     return ""
 
 
 def load_to_learn(
     options: LearnOptions, progress: Progress = silent
 ) -> tuple[ml.Robot, ml.Demonstrations | ml.RecordingSource, str, list[str]]:
-    """Robot, recordings, frame, and notes on joints that were locked because nothing is recorded for them.
+    """Load robot and recordings, and choose the frame; lock joints that are not recorded and do not move it.
 
-    A joint is locked automatically only if it does not move the frame: then it cannot matter to the constraint
-    (the fingers of a gripper, the other arm). For a cluster the recordings stay files, of which the first is read.
+    Such a joint (a finger of a gripper, a joint of the other arm) cannot affect the constraint. For a cluster the
+    recordings stay files, of which the first is read.
+
+    Args:
+        options: Options of `learn`.
+        progress: Function of the name of a stage and its completed share.
+
+    Returns:
+        Robot, recordings, name of the frame, and notes on locked joints.
 
     Raises:
-        ManipLearnError: Any of the errors of loading robots and recordings.
+        ManipLearnError: Any error of loading robots and recordings.
     """
     robot = load_for_files(options.robot, options.recordings, options)
-    chosen = choose_frame(robot, options.frame)
-    frames = [chosen] if options.relative_to is None else [chosen, robot.frame(options.relative_to).name]
+    tip = choose_frame(robot, options.frame)
+    frames = [tip] if options.relative_to is None else [tip, robot.frame(options.relative_to).name]
     notes: list[str] = []
     while True:
         try:
-            read = ml.load_demonstrations if options.dask is None else ml.RecordingSource
-            demos = read(options.recordings, robot, progress=progress, **options.keywords())
+            loader = ml.load_demonstrations if options.dask is None else ml.RecordingSource
+            demos = loader(options.recordings, robot, progress=progress, **options.keywords())
             if isinstance(demos, ml.RecordingSource):
                 next(demos.part(0))
-            return robot, demos, chosen, notes
+            return robot, demos, tip, notes
         except RecordingError as error:
             joint = error.column if error.code == "missing-joint" else None
             if joint not in robot.joint_names or any(robot.moves(joint, f) for f in frames):

@@ -1,4 +1,4 @@
-"""Robot of a command, with joints locked as its files say or where nothing is recorded, and the guided frame."""
+"""Robot of a command, with joints locked as in its files, and the guided frame."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from itertools import islice
 from pathlib import Path
 
 import manip_learn as ml
-from manip_learn.commands.command_line import files_behind
+from manip_learn.commands.command_line import input_files
 from manip_learn.commands.options import RobotOptions
 from manip_learn.constraint.constraint import locks_in_words, read_constraint_file
 from manip_learn.errors import DAMAGE, ConstraintMismatchError, UnknownNameError, named
@@ -18,38 +18,51 @@ from manip_learn.robot.tips import distance_to_last_joint
 
 
 def load_for_files(name: str, files: Sequence[str], loading: RobotOptions) -> ml.Robot:
-    """The robot with the joints locked that were locked when the files were made, where they say so.
+    """Load the robot with the joints locked that were locked when the files were made, if they contain it.
 
     Rollouts and exported recordings do.
+
+    Args:
+        name: Name of the robot or its file.
+        files: Arguments that name files or folders.
+        loading: Options for loading.
+
+    Returns:
+        Robot with these joints locked.
     """
-    tried = (path for text in files for path in islice(files_behind(text), 2))  # a folder, and its first file
-    header, file = next(((header, path) for path in tried if (header := file_header(path)) is not None), (None, Path()))
+    paths = (path for text in files for path in islice(input_files(text), 2))  # a folder, and its first file
+    header, file = next(((header, path) for path in paths if (header := file_header(path)) is not None), (None, Path()))
     if header is None or header.robot is None:
         return loading.load(name)
     made_with = header.robot
     robot = loading.load(name, objects=loading.objects or made_with.objects)
-    known = {*robot.joint_names, *robot.locked, *unmoved_joint_names(robot)}
-    as_made = known >= {*made_with.joint_names, *made_with.locked} and robot.objects == made_with.objects
+    names = {*robot.joint_names, *robot.locked, *unmoved_joint_names(robot)}
+    as_made = names >= {*made_with.joint_names, *made_with.locked} and robot.objects == made_with.objects
     if as_made and made_with.locked.keys() >= set(loading.lock or ()):
         robot = loading.load(name, made_with.locked, made_with.objects)
     made_with.refuse_another(robot, file.name, file)
     return robot
 
 
-def locks_of_files(robot: ml.Robot, loading: RobotOptions) -> list[str]:
-    """Return a note on the joints that are locked because the files say so, or nothing."""
+def locked_joint_notes(robot: ml.Robot, loading: RobotOptions) -> list[str]:
+    """Return a note on joints that are locked because the files have them locked; empty if there are none.
+
+    Args:
+        robot: The robot.
+        loading: Options for loading.
+    """
     locked = {name: position for name, position in robot.locked.items() if name not in (loading.lock or ())}
     return [f"as when it was made: {locks_in_words(locked)}"] if locked else []
 
 
 def with_joints(robot: ml.Robot, joints: Sequence[str], name: str, loading: RobotOptions) -> ml.Robot:
-    """Return a robot with just these joints moving, and its other joints locked.
+    """Return a robot in which only these joints move, and its other joints are locked.
 
     Args:
-        robot: As it was loaded.
-        joints: Those that move.
-        name: Its name or file.
-        loading: How it was loaded.
+        robot: Loaded robot.
+        joints: Names of the joints that move.
+        name: Name of the robot or its file.
+        loading: Options for loading.
 
     Raises:
         UnknownNameError: The robot lacks one of the joints.
@@ -60,55 +73,79 @@ def with_joints(robot: ml.Robot, joints: Sequence[str], name: str, loading: Robo
 
 
 def robot_of_constraint(robot_name: str, constraint_file: str, loading: RobotOptions) -> ml.Robot:
-    """The robot with the joints locked that were locked when the constraint was learnt, and with the same objects.
+    """Load the robot with the joints locked that were locked when the constraint was learnt, and with the same objects.
+
+    Args:
+        robot_name: Name of the robot or its file.
+        constraint_file: Constraint file.
+        loading: Options for loading.
+
+    Returns:
+        Robot with the joints of the constraint.
 
     Raises:
-        ConstraintMismatchError: The constraint was learnt on another robot, or with other joints locked or other
-            objects than the options name.
+        ConstraintMismatchError: The constraint was learnt on another robot, or with other locked joints or objects than
+            the options name.
     """
     try:
         made_with = RobotIdentity.from_dict(read_constraint_file(Path(constraint_file))["robot"])
     except (*DAMAGE, ConstraintMismatchError):
-        # Constraint.load says what is wrong with the file
+        # Constraint.load raises the error for this file
         return loading.load(robot_name)
     joints, saved, locks = made_with.joint_names, made_with.objects, loading.lock or ()
     wrong = [f"joint {joint!r} moving, --lock would hold it still" for joint in locks if joint in joints]
     if loading.objects and sorted(loading.objects) != sorted(saved):
-        had, asked = (named("object", map(repr, names)) if names else "no object" for names in (saved, loading.objects))
-        wrong.insert(0, f"{had}, --object names {asked}")
+        had, typed = (named("object", map(repr, names)) if names else "no object" for names in (saved, loading.objects))
+        wrong.insert(0, f"{had}, --object names {typed}")
     if wrong:
-        known = "leave --object and --lock out, the file knows which objects it saw and which joints were locked"
-        raise ConstraintMismatchError(f"{constraint_file} was learnt with {wrong[0]}: {known}")
+        remedy_locks = "leave --object and --lock out, the file knows which objects it saw and which joints were locked"
+        raise ConstraintMismatchError(f"{constraint_file} was learnt with {wrong[0]}: {remedy_locks}")
     try:
         return with_joints(loading.load(robot_name, made_with.locked, saved), joints, robot_name, loading)
     except UnknownNameError as error:
         if error.kind != "joint":
             raise
-        made = f"{constraint_file} was made for robot {made_with.name!r} with the joints {', '.join(joints)}"
+        origin = f"{constraint_file} was made for robot {made_with.name!r} with the joints {', '.join(joints)}"
         remedy = "name the robot that it was learnt on"
-        raise ConstraintMismatchError(f"{made}, {robot_name!r} lacks {error.name!r}: {remedy}") from error
+        raise ConstraintMismatchError(f"{origin}, {robot_name!r} lacks {error.name!r}: {remedy}") from error
 
 
 def load_constraint(robot_name: str, constraint_file: str, loading: RobotOptions) -> tuple[ml.Constraint, ml.Robot]:
-    """Return the constraint in a file, and its robot; errors as of `robot_of_constraint` and `Constraint.load`."""
+    """Load the constraint in a file, and its robot; errors as of `robot_of_constraint` and `Constraint.load`.
+
+    Args:
+        robot_name: Name of the robot or its file.
+        constraint_file: Constraint file.
+        loading: Options for loading.
+
+    Returns:
+        Constraint and robot.
+    """
     robot = robot_of_constraint(robot_name, constraint_file, loading)
     return ml.Constraint.load(constraint_file, robot), robot
 
 
 def choose_frame(robot: ml.Robot, frame: str | None) -> str:
-    """Return the frame that the hand guided: the one that was named, checked, or the only likely tip.
+    """Choose the frame that was guided by hand: the named one, or the only likely tip.
+
+    Args:
+        robot: The robot.
+        frame: Name of the frame; None for the only likely tip.
+
+    Returns:
+        Name of the frame.
 
     Raises:
-        UnknownNameError: No such frame.
-        ManipLearnError: None was named and there is more than one candidate.
+        UnknownNameError: There is no such frame.
+        ManipLearnError: No frame is named and there is not exactly one candidate.
     """
     tips = ml.likely_tips(robot)
     if frame is None and len(tips) == 1:
         return tips[0]
     if frame in robot.frame_names:
         return robot.frame(frame).name
-    shown = [f"{tip} ({distance_to_last_joint(robot, tip):.3g} m from its last joint)" for tip in tips[:6]]
-    likely = f"likely tips: {', '.join(shown) or 'none'}; `manip-learn inspect` lists all frames"
+    candidates = [f"{tip} ({distance_to_last_joint(robot, tip):.3g} m from its last joint)" for tip in tips[:6]]
+    likely = f"likely tips: {', '.join(candidates) or 'none'}; `manip-learn inspect` lists all frames"
     if frame is not None:
         raise UnknownNameError("frame", frame, robot.frame_names, f"robot {robot.name!r}", f"; {likely}")
     flag = f"--frame {tips[0] if tips else 'NAME'}"

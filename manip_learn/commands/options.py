@@ -1,16 +1,16 @@
 """All arguments and options of the command line, each written once: parser, help and the commands read them here.
 
 The second paragraph of a command's docstring is an example that works. Each field is an argument or an option of that
-name, and its help stands under `Attributes:`, here or in its class. A command has the options of the classes that it
-inherits, under their headings. `--help` explains the options that are not keywords only, which a beginner needs, and
-`--help-all` all of them. Only what a shell needs for `--help` is imported.
+name, and its help is under `Attributes:`, here or in its class. A command has the options of the classes that it
+inherits, under their headings. `--help` explains the options that are not keyword-only, for beginners, and `--help-all`
+explains all of them. Only imports that a shell needs for `--help` are made.
 
 Attributes:
-    robot: A name (see `robots`) or a URDF file.
-    task: Written by `learn --out`.
-    start: Joint positions [rad], e.g. 0.1,-0.5,0; default: the first posture that was shown.
+    robot: Robot name (see `robots`) or URDF file.
+    task: Task file from `learn --out`.
+    start: Start joint positions [rad], e.g. 0.1,-0.5,0. Default: first demonstrated posture.
     out: Rollout file to write: .npz, .csv or .mcap (for ROS).
-    html: Replay to write.
+    html: HTML replay to write.
 """
 
 from __future__ import annotations
@@ -28,16 +28,16 @@ from typer import Argument, Context, Option, echo
 from manip_learn.commands.command_line import HELP_ALL
 from manip_learn.errors import ManipLearnError
 
-if TYPE_CHECKING:  # so that `--help` stays quick
+if TYPE_CHECKING:  # keeps `--help` fast
     from manip_learn.robot import Robot
 
-Locks = Mapping[str, float | None]  # joint -> position at which it is held still; None for its neutral one
-# as it is typed -> file in `commands` and function that does the work, and its options, whose docstring is the help
+Locks = Mapping[str, float | None]  # joint -> position at which it is locked; None for its neutral position
+# name of a command -> file in `commands` and function, and the class of its options, whose docstring is the help
 COMMANDS: dict[str, tuple[str, type[Any]]] = {}
 
 
 def _explain_all(context: Context, asked: bool) -> None:
-    """Print the help with all options, if it was asked for."""
+    """Print the help with all options, if it was requested."""
     if asked and not context.resilient_parsing:
         context.meta[HELP_ALL] = True
         echo(context.get_help())
@@ -49,11 +49,11 @@ def _explain_all(context: Context, asked: bool) -> None:
 class Options:
     """Output.
 
-    A class of options is a frozen dataclass. One that names its work is a command, which is called as the class.
+    A class of options is a frozen dataclass. A class with a `work` function is a command with the name of the class.
 
     Attributes:
         as_json: Print one JSON document and nothing else.
-        help_all: Explain all options.
+        help_all: Show the help of all options.
     """
 
     as_json: Annotated[bool, Option("--json")] = False
@@ -64,7 +64,7 @@ class Options:
 
         Args:
             work: File in `commands` and function: options and progress -> an `Answer`; empty for a set of options.
-            kw_only: `--help` does not explain them.
+            kw_only: True if `--help` does not explain them.
         """
         dataclass(frozen=True, kw_only=kw_only)(cls)
         if work:
@@ -75,14 +75,18 @@ class ExplainedOptions(Options, kw_only=True):
     """Output.
 
     Attributes:
-        explain: Say what the words in the tables mean.
+        explain: Explain the terms used in the tables.
     """
 
     explain: bool = False
 
 
 def robot_completions(incomplete: str) -> list[str]:
-    """Return names of robots; where none begins so, the shell offers files."""
+    """Return the names of robots that begin with a text; the shell offers files if there are none.
+
+    Args:
+        incomplete: Text typed so far.
+    """
     from manip_learn.robot.description.catalogue import robot_names
 
     return [name for name in robot_names() if name.startswith(incomplete)]
@@ -92,13 +96,16 @@ def pairs(flag: str, form: str, pattern: str, texts: Sequence[str]) -> dict[str,
     """Return the sides of the first equals sign of each text.
 
     Args:
-        flag: The option, for the sentence that refuses a text.
-        form: What a text must be, in words.
+        flag: Name of the option, for the error.
+        form: Form of a valid text, in words.
         pattern: The same as a regular expression.
         texts: Values of the option.
 
+    Returns:
+        Left side -> right side.
+
     Raises:
-        ManipLearnError: A text of another form.
+        ManipLearnError: A text has another form.
     """
     for text in texts:
         if not re.fullmatch(pattern, text, re.DOTALL):
@@ -107,10 +114,17 @@ def pairs(flag: str, form: str, pattern: str, texts: Sequence[str]) -> dict[str,
 
 
 def vector(option: str, text: str | None) -> list[float] | None:
-    """Return the numbers of an option's text; None if it was not given.
+    """Return the numbers in the text of an option.
+
+    Args:
+        option: Name of the option, for the error.
+        text: Numbers with commas or spaces between them; None if the option was not given.
+
+    Returns:
+        Numbers; None without a text.
 
     Raises:
-        ManipLearnError: Not finite numbers.
+        ManipLearnError: The text is not finite numbers.
     """
     if text is None:
         return None
@@ -127,11 +141,11 @@ class RobotOptions(Options, kw_only=True):
     """Robot.
 
     Attributes:
-        lock: Joint to hold still; repeatable.
-        package_dir: Folder that contains mesh packages.
+        lock: Joint to lock; repeatable.
+        package_dir: Folder with mesh packages; repeatable.
         objects: Object whose pose is recorded (NAME.x ... NAME.rz); repeatable.
-        xacro: Expand the robot's xacro file, which runs its code.
-        xacro_arg: NAME=VALUE of an argument of the xacro file; implies --xacro.
+        xacro: Expand the robot's xacro file; this runs its code.
+        xacro_arg: Argument NAME=VALUE of the xacro file; implies --xacro.
     """
 
     lock: list[str] | None = None
@@ -142,20 +156,29 @@ class RobotOptions(Options, kw_only=True):
 
     @property
     def words(self) -> list[str]:
-        """The options that were given, as they are typed."""
-        given = {"--lock": self.lock, "--package-dir": self.package_dir, "--object": self.objects}
-        given["--xacro-arg"] = self.xacro_arg
-        typed = [word for flag, values in given.items() for value in values or () for word in (flag, value)]
+        """Words of the command line that repeat these options."""
+        values_of = {"--lock": self.lock, "--package-dir": self.package_dir, "--object": self.objects}
+        values_of["--xacro-arg"] = self.xacro_arg
+        typed = [word for flag, values in values_of.items() for value in values or () for word in (flag, value)]
         return [*typed, *(["--xacro"] if self.xacro else [])]
 
     def load(self, name: str, locked: Locks | None = None, objects: Sequence[str] | None = None) -> Robot:
-        """Load the robot, with other joints locked or other objects if they are named."""
+        """Load the robot of these options.
+
+        Args:
+            name: Name of the robot or its file.
+            locked: Joints to lock, with their positions; None for `lock`.
+            objects: Names of objects with recorded poses; None for `objects`.
+
+        Returns:
+            Robot of these options.
+        """
         from manip_learn.robot import load_robot
 
         locks = dict.fromkeys(self.lock or ()) if locked is None else locked
-        seen = tuple(self.objects or ()) if objects is None else objects
+        names = tuple(self.objects or ()) if objects is None else objects
         values = pairs("--xacro-arg", "NAME=VALUE", "[^=]+=.*", self.xacro_arg or ())
-        return load_robot(name, tuple(self.package_dir or ()), locks, xacro=values or self.xacro, objects=seen)
+        return load_robot(name, tuple(self.package_dir or ()), locks, xacro=values or self.xacro, objects=names)
 
 
 class NamedRobotOptions(RobotOptions):
@@ -168,7 +191,7 @@ class ConstraintOptions(NamedRobotOptions):
     """Robot.
 
     Attributes:
-        constraint: Written by `learn --out`.
+        constraint: Constraint file from `learn --out`.
     """
 
     constraint: Annotated[str, Argument(metavar="CONSTRAINT.JSON")]
@@ -178,19 +201,19 @@ class ReadingOptions(Options, kw_only=True):
     """Reading recordings.
 
     Attributes:
-        degrees: The recordings are in degrees.
+        degrees: Recorded angles are in degrees.
         units: Unit of the recorded angles: radians, degrees or normalised.
         time_unit: Unit of the time stamps: s, ms, us or ns.
         ignore_columns: Column to ignore; repeatable.
-        rename: NAME_IN_FILE=NAME_IN_ROBOT; 'left_{joint}' or 'q{index}' of all joints.
-        columns: Pattern of the columns, 'position.{joint}' or 'q[{index}]'; given twice: velocities.
-        joint_names: Column names, in order, for files without names.
-        topics: Topic of a bag; default: all with joints.
-        rate: Samples per second; overrules time stamps.
-        velocities: auto, derive: from the positions; recorded: recorded ones as they are.
-        outside_limits: Samples far outside the limits: refuse or note.
-        episodes: Episodes (LeRobot) or files in order to read, counted from 0, e.g. 0:50,60,75.
-        feature: LeRobot feature that holds the joint positions.
+        rename: NAME_IN_FILE=NAME_IN_ROBOT; for all joints, a pattern such as 'left_{joint}' or 'q{index}'.
+        columns: Pattern of the columns, 'position.{joint}' or 'q[{index}]'. Repeat it for the velocities.
+        joint_names: Joint names in column order, for files without names.
+        topics: Topic of a bag; repeatable. Default: all topics with joints.
+        rate: Sampling rate [Hz]; overrides time stamps.
+        velocities: auto or derive: differentiate the positions; recorded: use recorded velocities.
+        outside_limits: Samples far outside the joint limits: refuse or note.
+        episodes: Episodes (LeRobot) or files to read, counted from 0, e.g. 0:50,60,75.
+        feature: LeRobot feature with the joint positions.
     """
 
     degrees: bool = False
@@ -208,24 +231,24 @@ class ReadingOptions(Options, kw_only=True):
     feature: str | None = None
 
     def keywords(self) -> dict[str, Any]:
-        """Keywords of `load_demonstrations`; what was not given is left out."""
+        """Return the keywords of `load_demonstrations`, without options that were not given."""
         form = "NAME_IN_FILE=NAME_IN_ROBOT, or a pattern such as 'left_{joint}'"
         # a pattern alone names the joints as the robot does
         names = [text if "=" in text or "{" not in text else f"{text}={{joint}}" for text in self.rename or ()]
-        given = {name: getattr(self, name) for name in inspect.get_annotations(ReadingOptions)} | {
+        values = {name: getattr(self, name) for name in inspect.get_annotations(ReadingOptions)} | {
             "degrees": self.degrees or None,
             "rename": pairs("--rename", form, "[^=]*=.+", names) or None,
             "joint_names": self.joint_names.replace(",", " ").split() if self.joint_names else None,
         }
-        return {key: value for key, value in given.items() if value is not None and value != []}
+        return {key: value for key, value in values.items() if value is not None and value != []}
 
 
 class RecordingsOptions(ReadingOptions):
     """Options.
 
     Attributes:
-        recordings: Files, a folder of them, or shipped ones such as sawyer_drawer.
-        dask: Scheduler address, or local: work on a dask cluster.
+        recordings: Files, a folder, or shipped recordings such as sawyer_drawer.
+        dask: Use a dask cluster: scheduler address, or local.
     """
 
     recordings: Annotated[list[str], Argument(metavar="RECORDING...")]
@@ -237,7 +260,7 @@ class SearchOptions(Options, kw_only=True):
     """Plan.
 
     Attributes:
-        scene: What stands around (JSON, URDF, MJCF); none: nothing. Else a floor is assumed.
+        scene: Obstacle scene (JSON, URDF or MJCF), or none. Default: an assumed floor.
         seed: Random seed of the search.
     """
 
@@ -249,29 +272,29 @@ class PlanOptions(SearchOptions, kw_only=True):
     """Plan.
 
     Attributes:
-        plan: Choose the posture in which to take hold, so that all of it can be done.
+        plan: Plan the grasp configuration so that the whole motion is feasible.
     """
 
     plan: bool = False
 
 
 class RobotsOptions(Options, work="robots.known_robots"):
-    """List the robots that can be named, with their joints.
+    """List the available robots, with their joints.
 
     manip-learn robots
     """
 
 
 class DemoOptions(ExplainedOptions, work="demo.demo"):
-    """Learn from shipped recordings; open the drawer from one bad start without and with what was learnt, in a replay.
+    """Learn from shipped recordings; open a drawer without and with singularity avoidance, from one difficult start.
 
     manip-learn demo
 
     Attributes:
-        robot: sawyer or planar3.
+        robot: Robot: sawyer or planar3.
         out: Folder for the results.
         all_policies: Compare a plan and the policies manipulability, attractor and zero.
-        browser: Open the replay.
+        browser: Open the replay in the browser.
     """
 
     robot: str = "sawyer"
@@ -288,21 +311,21 @@ class InspectOptions(NamedRobotOptions, work="robots.inspect"):
 
 
 class RecordOptions(RobotOptions, work="record.record_motions"):
-    """Record motions that are shown by hand, a file each, and say what can be learnt from them.
+    """Record hand-guided demonstrations, one file each, and report what can be learnt from them.
 
     manip-learn record my_arm.py:driver --robot ur5e --frame tool0
 
     Attributes:
-        driver: FILE.py:NAME or package.module:NAME: a driver, or what makes one.
-        out: Folder of the recordings.
+        driver: Driver, or a function that makes one: FILE.py:NAME or package.module:NAME.
+        out: Folder for the recordings.
         name: Name of the recordings: NAME_01.csv and so on.
-        robot: Robot to show and to learn for.
-        frame: The frame that is guided, e.g. the tool's tip.
-        motions: Number of motions to record; default: until Ctrl-C.
-        by: motion: from motion to rest; key: Enter begins and ends, q leaves.
-        duration: Longest time to wait for all of them [s].
+        robot: Robot to display, and to learn for.
+        frame: Guided frame, e.g. the tool tip.
+        motions: Number of motions to record. Default: until Ctrl-C.
+        by: Start and end of a recording: motion (from motion to rest) or key (Enter; q quits).
+        duration: Maximum total recording time [s].
         no_release: Leave the arm's torque on.
-        no_browser: Do not open the live picture.
+        no_browser: Do not open the live view.
     """
 
     driver: Annotated[str, Argument(metavar="DRIVER")]
@@ -319,17 +342,17 @@ class RecordOptions(RobotOptions, work="record.record_motions"):
 
 
 class TeachOptions(RobotOptions, work="teach.teach"):
-    """Teach a simulated arm in the browser: take it by the hand, show it a task, watch it do it.
+    """Teach a simulated arm in the browser: guide it by hand, learn the task, and watch it reproduce the task.
 
     manip-learn teach
 
     Attributes:
-        robot: Which robot to teach.
-        frame: The frame that takes hold, e.g. the tool's tip.
+        robot: Robot to teach.
+        frame: Grasping frame, e.g. the tool tip.
         scene: First scene: drawer, door, loose-door or table.
-        out: Folder for recordings and what is learnt.
-        seed: Random seed for the scene; by default the first scenes are always the same.
-        no_browser: Print the page's address, and do not open it.
+        out: Folder for recordings and learnt tasks.
+        seed: Random seed of the scenes. Default: always the same first scenes.
+        no_browser: Print the address of the page, and do not open it.
     """
 
     robot: Annotated[str, Argument(metavar="ROBOT", autocompletion=robot_completions)] = "sawyer"
@@ -346,22 +369,22 @@ class LearnOptions(RecordingsOptions, NamedRobotOptions, ExplainedOptions, work=
     manip-learn learn sawyer sawyer_drawer --frame right_gripper_tip --out task.json
 
     Attributes:
-        frame: The frame that was guided, e.g. the tool's tip.
-        axes: xyz, pose, planar, rotation, or any of 'x y z rx ry rz'.
+        frame: Guided frame, e.g. the tool tip.
+        axes: Axes of the features: xyz, pose, planar, rotation, or any of 'x y z rx ry rz'.
         out: Constraint file to write (JSON).
-        html: Replay of the recordings to write, with their phases.
-        relative_to: Frame, e.g. an object, from which it is seen.
-        reference: world, local, or auto (the larger gap).
-        n_constraints: Number of constraints; default: from the data.
-        estimator: auto, null-space, joint or separate.
-        phases: auto: find the stretches in which a constraint holds; off: take recordings as a whole.
-        mechanism: auto: say what holds the hand (hinge, line, ...); off.
-        strength: Minimum strength of evidence for a row; default: 1.8.
-        keep_habits: Also learn rows that may be kept by the way of moving only.
-        joint_offset_std: How far the joints' zeros may be off [deg, 68 %]; 1 for arms of hobby servos.
-        link_error_std: How far the links may be off their description [mm and mrad, 68 %].
-        start: Leave out what was recorded before [s].
-        until: Leave out what was recorded after [s].
+        html: HTML replay of the recordings to write, with their phases.
+        relative_to: Reference frame of the Jacobian, e.g. an object. Default: the base.
+        reference: Axes of the rows: world, local, or auto (the larger gap).
+        n_constraints: Number of constraints. Default: from the data.
+        estimator: Estimator: auto, null-space, joint or separate.
+        phases: auto: find the stretches in which a constraint acts; off: use whole recordings.
+        mechanism: auto: identify the mechanism (hinge, line, ...); off: do not.
+        strength: Minimum strength of the evidence for a row. Default: 1.8.
+        keep_habits: Also keep constraints that may only be habits of the demonstrator.
+        joint_offset_std: Standard deviation of the joint offsets [deg]; use 1 for hobby servos.
+        link_error_std: Standard deviation of the errors of the links [mm and mrad].
+        start: Ignore samples before this time [s].
+        until: Ignore samples after this time [s].
         seed: Seed of the bootstrap and of random starts.
     """
 
@@ -386,40 +409,40 @@ class LearnOptions(RecordingsOptions, NamedRobotOptions, ExplainedOptions, work=
 
 
 class AuditOptions(RecordingsOptions, ConstraintOptions, ExplainedOptions, work="audit.audit"):
-    """Judge recorded episodes by a constraint: rank them, and name those to leave out.
+    """Judge recorded episodes by a constraint: rank them, and list the ones to leave out.
 
     manip-learn audit sawyer task.json sawyer_drawer
 
     Attributes:
-        csv: Table to write, one line per episode (CSV).
+        csv: CSV table to write, one line per episode.
     """
 
     csv: Path | None = None
 
 
 class ControlOptions(ConstraintOptions, PlanOptions, ExplainedOptions, work="control.control"):
-    """Do the task that was learnt: along what is free, or to a point, clear of the task's singularities.
+    """Run one motion of a learnt task: along its free direction or to a target, avoiding task singularities.
 
     manip-learn control sawyer task.json --along 0.2 --out run.npz
 
     Attributes:
-        along: Way along a line or a plane [m], positive as it was shown; default: all as shown.
-        turn: Angle about a hinge, a screw or a ball [degrees], positive as it was shown.
-        target: Point to go to, one value per axis [m or rad].
-        direction: Direction of the way, where several are free: x,y,z; or shown, or back.
-        beyond_shown: Allow a way farther than was shown.
-        speed: Speed of the hand [m/s], or of a turn [degrees/s].
+        along: Distance along the line or plane [m]; positive in the demonstrated direction. Default: as demonstrated.
+        turn: Angle about a hinge, a screw or a ball [degrees]; positive in the demonstrated direction.
+        target: Target point, one value per axis [m or rad].
+        direction: Direction of the motion, if several are free: x,y,z; or shown, or back.
+        beyond_shown: Allow a motion beyond the demonstrated range.
+        speed: Speed of the hand [m/s], or of a rotation [degrees/s].
         keep_orientation: Keep the orientation of the hand.
-        rows: all: go to the target; held: its held rows only (the paper).
-        policy: manipulability, zero or attractor.
+        rows: Rows that move to the target: all, or held (as in the paper).
+        policy: Null-space policy: manipulability, zero or attractor.
         rest: Rest posture of the attractor [rad].
-        gain: Gain of the policy.
+        gain: Gain of the null-space policy.
         task_gain: Gain of the task [1/s].
-        duration: Duration [s]; default: of the way, else 5.
+        duration: Duration [s]. Default: the planned duration of a motion; 5 s or more to a target.
         dt: Time step [s].
-        inverse: damped, exact or truncated.
+        inverse: Pseudoinverse: damped, exact or truncated.
         tolerance: Distance to the target that counts as reached [m or rad].
-        check: Write nothing and refuse if it gets less far.
+        check: Refuse, and write no files, if the target is not reached.
     """
 
     start: str | None = None
@@ -446,14 +469,14 @@ class ControlOptions(ConstraintOptions, PlanOptions, ExplainedOptions, work="con
 
 
 class RepeatOptions(NamedRobotOptions, SearchOptions, work="repeat.repeat_skill"):
-    """Do again all that the recordings show: take hold, go the way, let go, the next one, and retreat.
+    """Reproduce the demonstrated task: grasp, move, release, for every step, then retreat.
 
     manip-learn repeat sawyer task.json --html run.html
 
     Attributes:
-        moved: The fixtures stand elsewhere: x,y,z[,rx,ry,rz] (m, degrees about the base's axes).
-        tip_speed: Largest speed of the tip [m/s]; shown: as it was shown, however fast; none: no limit.
-        prefer: shown: as in a recording; room: in the posture that leaves most room for the way.
+        moved: Motion of the fixtures since the demonstrations: x,y,z[,rx,ry,rz] (m, degrees about the base axes).
+        tip_speed: Maximum tip speed [m/s]; shown: the demonstrated speed; none: no limit.
+        prefer: shown: follow a recording; room: search for the configuration with the largest margin.
         seed: Random seed of the plans.
     """
 
@@ -467,15 +490,15 @@ class RepeatOptions(NamedRobotOptions, SearchOptions, work="repeat.repeat_skill"
 
 
 class ReplayOptions(ReadingOptions, RobotOptions, work="replay.replay_files"):
-    """Write a browser replay with the manipulability plot: one file, no server, no network.
+    """Write a browser replay with a manipulability plot: one file, no server, no network.
 
     manip-learn replay run.npz --open
 
     Attributes:
-        files: Rollouts of `control --out`, which know their robot; or a robot and recordings.
-        html: File to write.
+        files: Rollouts from `control --out`, which contain their robot; or a robot and recordings.
+        html: HTML file to write.
         open_browser: Open it in the browser.
-        constraint: Constraint file: show the phases and the mechanism that were learnt with it.
+        constraint: Constraint file whose phases and mechanism are shown.
         tip: Frame whose path is drawn.
     """
 
@@ -488,16 +511,16 @@ class ReplayOptions(ReadingOptions, RobotOptions, work="replay.replay_files"):
 
 
 class ExportOptions(ReadingOptions, NamedRobotOptions, work="export.export"):
-    """Write recordings or rollouts in other formats, or a learnt task for a controller of force or stiffness.
+    """Convert recordings or rollouts to other formats, or export a learnt task for a force or impedance controller.
 
     manip-learn export sawyer run.npz --out run.csv
 
     Attributes:
         files: Recordings or rollouts, a folder of them, or a constraint file.
-        out: A file (.mcap, .csv, .yaml: a JointTrajectory), or a folder: LeRobot, or what --to says.
-        to: mcap, csv, lerobot or trajectory: format of the files in a folder; urscript, stiffness, moveit or json: a
-            constraint for force mode, for impedance control, as path constraints, or its task frame.
-        at: Posture of the task frame [rad]; default: the middle one of those shown, else the neutral one.
+        out: File (.mcap, .csv, or .yaml with a JointTrajectory) or folder (LeRobot, or the format of --to) to write.
+        to: Format of the files in a folder: mcap, csv, lerobot or trajectory. For a constraint: urscript (force mode),
+            stiffness (impedance control), moveit (path constraints) or json (task frame).
+        at: Posture of the task frame [rad]. Default: the middle demonstrated posture, else the neutral one.
     """
 
     files: Annotated[list[str], Argument(metavar="FILE...")]
@@ -507,16 +530,16 @@ class ExportOptions(ReadingOptions, NamedRobotOptions, work="export.export"):
 
 
 class ReproduceOptions(Options, work="reproduce.reproduce_paper"):
-    """Run the experiments of "Learning Singularity Avoidance", and compare with the printed numbers.
+    """Run the experiments of "Learning Singularity Avoidance", and compare with the published numbers.
 
     manip-learn reproduce table --trials 2
 
     Attributes:
-        experiment: table, rmse, singular-start, near-singular-start, sawyer or all.
+        experiment: Experiment: table, rmse, singular-start, near-singular-start, sawyer or all.
         trials: Number of repetitions; the paper has 50.
         seed: Random seed; the same seed gives the same numbers.
         out: Folder for numbers and figures.
-        workers: Number of processes; default: all cores.
+        workers: Number of processes. Default: all cores.
     """
 
     experiment: Annotated[str, Argument()]

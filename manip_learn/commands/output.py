@@ -1,4 +1,4 @@
-"""Answers of commands: shown while one works, printed as JSON or for people, or refused in a sentence."""
+"""Answers of commands: progress, JSON documents, texts for people, and refusals."""
 
 from __future__ import annotations
 
@@ -17,14 +17,19 @@ from manip_learn.errors import printable
 if TYPE_CHECKING:
     from manip_learn.playback import ReplayResult
 
-Progress = Callable[[str, float], None]  # called with what is being done and the share of it that is done, in 0 .. 1
-# keys of sentences, for people; what other keys hold is for programs, which need names and paths as they are
+Progress = Callable[[str, float], None]  # function of the name of a stage and its completed share, in 0 .. 1
+# keys of sentences, for people; values of other keys are for programs, which need names and paths unchanged
 SENTENCES = {"message", "sentence", "notes", "warnings", "advice", "evidence", "reason", "reasons", "refused"}
 SENTENCES |= {"stopped_by", "why", "helps", "hint", "story"}
 
 
 def for_json(value: object, sentence: bool = False) -> Any:
-    """A value for JSON: null in place of NaN, which JSON does not have, names of files, and sentences for printing."""
+    """Return a value for JSON: null in place of NaN, which JSON does not have, names of files, and printable sentences.
+
+    Args:
+        value: Value to convert.
+        sentence: True if strings are sentences.
+    """
     if isinstance(value, Path):
         return str(value)
     if isinstance(value, dict):
@@ -44,14 +49,14 @@ class Answer:
     Attributes:
         content: JSON document.
         title: First sentence.
-        sentences: More of them, each on a line of its own; empty ones are left out, here and below.
+        sentences: More sentences, each on its own line; empty ones are left out, here and below.
         facts: Name -> words.
         remarks: Sentences about the facts.
-        rows: Lines of a table, heading -> words; the headings in the order in which they matter.
-        warnings: Doubts, and obstacles, in sentences.
-        notes: More to know, in sentences.
+        rows: Lines of a table, heading -> words; the most important headings first.
+        warnings: Warnings, and obstacles, in sentences.
+        notes: Further remarks, in sentences.
         written: Lines that end in the name of a file.
-        page: Replay that was written.
+        page: Replay, if it was written.
         pages: Heading -> text in Markdown.
         following: Command to type next.
     """
@@ -70,7 +75,12 @@ class Answer:
     following: str = ""
 
     def with_files(self, out: Path | None, page: ReplayResult | None = None) -> Answer:
-        """Return the answer with the files that were written."""
+        """Return the answer with the written files.
+
+        Args:
+            out: Output file; None without one.
+            page: Replay; None without one.
+        """
         files = {"out": out, "html": None if page is None else page.html}
         return replace(self, content=self.content | files, written=[f"written: {out}" if out else ""], page=page)
 
@@ -82,48 +92,67 @@ def cells(content: Mapping[str, Any], layout: str) -> dict[str, str]:
         content: The document.
         layout: Headings with formats of keys of the document, e.g. `"time: {seconds:.1f} s; margin: {margin:.0%}"`.
     """
-    known, words = for_json(dict(content)), {}
+    values, words = for_json(dict(content)), {}
     for heading, form in (part.split(": ") for part in layout.split("; ")):
         try:
-            words[heading] = form.format_map(known).replace("%", " %")
+            words[heading] = form.format_map(values).replace("%", " %")
         except TypeError:  # None has no digits
             words[heading] = "-"
     return words
 
 
 def place(point: Iterable[float]) -> str:
-    """Return a point in metres as it is printed."""
+    """Return a point in words.
+
+    Args:
+        point: Coordinates [m].
+    """
     return f"({', '.join(f'{x:.3f}' for x in point)}) m"
 
 
 def silent(step: str, share: float) -> None:
-    """Take progress, and show nothing."""
+    """Take progress, and show nothing.
+
+    Args:
+        step: Name of the stage.
+        share: Completed share.
+    """
 
 
 @contextmanager
 def progress(quiet: bool) -> Iterator[Progress]:
-    """A progress bar on standard error; silent when it is not a terminal."""
+    """Yield a function that shows a progress bar on standard error; silent if that is not a terminal.
+
+    Args:
+        quiet: True to show nothing.
+
+    Yields:
+        Function of the name of a stage and its completed share.
+    """
     if quiet or not sys.stderr.isatty():
         yield silent
         return
     from rich import progress as bars
     from rich.console import Console
 
-    shown = (*bars.Progress.get_default_columns()[:-1], bars.TimeElapsedColumn())  # in place of the time that is left
-    with bars.Progress(*shown, console=Console(stderr=True), transient=True) as bar:
+    columns = (*bars.Progress.get_default_columns()[:-1], bars.TimeElapsedColumn())  # instead of the remaining time
+    with bars.Progress(*columns, console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task("", total=1.0)
         yield lambda step, share: bar.update(task, description=step, completed=share)
 
 
-def refused_by_system(error: OSError) -> str:
-    """A sentence about an error of the operating system, e.g. that the answer cannot be printed (a full disk).
+def system_refusal(error: OSError) -> str:
+    """Return a sentence about an error of the operating system, e.g. that the answer cannot be printed (a full disk).
 
-    What was not printed is given up, so that the interpreter does not complain of it once more at its end.
+    Output that could not be printed is discarded, so that the interpreter does not report it again at its end.
+
+    Args:
+        error: Error of the operating system.
     """
     try:
         sys.stdout.flush()
     except OSError:
-        nobody_reads()
+        discard_output()
     if error.filename is None:
         return f"the answer cannot be printed: {error.strerror or error}; send it to another file or disk"
     return f"the system refuses: {error.strerror or error} ({error.filename})"
@@ -131,6 +160,13 @@ def refused_by_system(error: OSError) -> str:
 
 def refuse(sentence: str, as_json: bool, code: str, facts: Mapping[str, Any] | None = None, exit_code: int = 2) -> int:
     """Print a sentence on standard error; under --json also `{"error": {"code", "message", ...}}` on standard output.
+
+    Args:
+        sentence: Text of the refusal.
+        as_json: True to print the JSON document.
+        code: Code of the error.
+        facts: Further fields of the JSON document; None for none.
+        exit_code: Exit code to return.
 
     Returns:
         The exit code.
@@ -140,14 +176,14 @@ def refuse(sentence: str, as_json: bool, code: str, facts: Mapping[str, Any] | N
         content = for_json({"error": {"code": code, "message": message, **(facts or {})}})
         try:
             print(json.dumps(content, indent=2), flush=True)
-        except OSError:  # a pipe that nobody reads any more, or a full disk, which the sentence below tells
-            nobody_reads()
+        except OSError:  # a closed pipe, or a full disk, which the sentence below reports
+            discard_output()
     print(f"manip-learn: {message}", file=sys.stderr)
     return exit_code
 
 
-def nobody_reads() -> int:
-    """The reader of a pipe, such as `head`, has what it wants: what is left is given up, without a word.
+def discard_output() -> int:
+    """Drop further output without a message: the reader of a pipe, such as `head`, has closed it.
 
     Returns:
         The exit code.

@@ -1,4 +1,4 @@
-"""The program `manip-learn`: its commands, and how each is run and its answer printed."""
+"""The program `manip-learn`: run each command and print its answer."""
 
 from __future__ import annotations
 
@@ -10,21 +10,21 @@ from typing import Annotated
 import typer
 from typer.main import get_command
 
-from manip_learn.commands.command_line import PROGRAM_NAME, GroupedCommand, ProgramHelp, parsed_by
+from manip_learn.commands.command_line import PROGRAM_NAME, GroupedCommand, ProgramHelp, command_function
 from manip_learn.commands.options import COMMANDS, Options
 from manip_learn.commands.output import for_json, progress
 
-# commands of 0.1 that are gone, and what to do instead; until 0.3
+# removed commands of 0.1, and their replacements; until 0.3
 REMOVED_COMMANDS = {"warm-up": "nothing is compiled any more: leave the command out"}
 app = typer.Typer(name=PROGRAM_NAME, cls=ProgramHelp, pretty_exceptions_enable=False, rich_markup_mode=None)
 
 
 def run_command(work: str, given: Options) -> None:
-    """Do the work of a command, and print its answer.
+    """Run a command, and print its answer.
 
     Args:
         work: File in `commands` and function: options and progress -> an `Answer`.
-        given: The options.
+        given: Options of the command.
     """
     file, function = work.split(".")
     answer_of = getattr(import_module(f"manip_learn.commands.{file}"), function)
@@ -39,11 +39,15 @@ def run_command(work: str, given: Options) -> None:
 
 
 for each_name, (each_work, each_options) in COMMANDS.items():
-    app.command(each_name, cls=GroupedCommand)(parsed_by(each_options, partial(run_command, each_work)))
+    app.command(each_name, cls=GroupedCommand)(command_function(each_options, partial(run_command, each_work)))
 
 
 def print_version(asked: bool) -> None:
-    """Print the version and leave, if it was asked for."""
+    """Print the version and exit, if it was requested.
+
+    Args:
+        asked: True if the flag was typed.
+    """
     if asked:
         from importlib.metadata import version
 
@@ -61,4 +65,4 @@ def front(version: Version = False) -> None:
     """Learn which directions a demonstrated task constrains, and keep the arm away from its singularities."""
 
 
-program = get_command(app)  # once: typer takes 50 ms to read all signatures
+program = get_command(app)  # only once: typer takes 50 ms to read all signatures

@@ -1,4 +1,4 @@
-"""`manip-learn record`: motions shown by hand, a file each, and what can be learnt from them."""
+"""`manip-learn record`: record hand-guided motions, one file each, and learn from them."""
 
 from __future__ import annotations
 
@@ -22,20 +22,25 @@ from manip_learn.drivers.record import LOOK, MOVES, By, Key
 from manip_learn.errors import ConfigurationError, OutputError, counted
 from manip_learn.recordings.trajectory import EFFORT_SUFFIX, VELOCITY_SUFFIX
 
-_ENOUGH = 1.0  # [degrees] to which a direction is to be known: at 0.5 m that is 9 mm, more than a gripper gives way
-
 
 def record_motions(options: RecordOptions, progress: Progress) -> Answer:
-    """Record from a driver, and learn from what there is.
+    """Record motions from a driver, and learn from all of them.
+
+    Args:
+        options: Options of the command.
+        progress: Function of the name of a stage and its completed share.
+
+    Returns:
+        Answer with the files, and the result of learning from them.
 
     Raises:
-        ConfigurationError: DRIVER is none, or `--by` is neither motion nor key.
+        ConfigurationError: DRIVER is no driver, or `--by` is neither motion nor key.
         OutputError: Recording had to end; the files are kept.
-        ManipLearnError: Anything else that is wrong with robot or driver.
+        ManipLearnError: Another error in robot or driver.
     """
     if options.by not in get_args(By):
         raise ConfigurationError(f"--by must be motion or key, not {options.by!r}")
-    driver, robot, viewer = driver_of(options.driver), None, None
+    driver, robot, viewer = load_driver(options.driver), None, None
     if options.robot is not None:
         robot = options.load(options.robot)
         names = getattr(driver, "joint_names", None) or robot.joint_names
@@ -62,24 +67,25 @@ def record_motions(options: RecordOptions, progress: Progress) -> Answer:
         pressed = _keys(opened) if options.by == "key" else None
         hooks: dict[str, Any] = {"key": pressed, "shown": shown, "began": began}
         ends: dict[str, Any] = {"by": options.by, "motions": options.motions, "duration": options.duration}
-        done = ml.record(driver, options.out, options.name, release=not options.no_release, **ends, **hooks)
-    if not done.ordered:
-        kept = f"; kept: {', '.join(map(str, done.files))}" if done.files else ""
-        raise OutputError(f"recording ended: {done.sentence}{kept}")
-    sentence, advice = _learnt(options, robot, done, progress)
+        result = ml.record(driver, options.out, options.name, release=not options.no_release, **ends, **hooks)
+    if not result.ordered:
+        files = f"; kept: {', '.join(map(str, result.files))}" if result.files else ""
+        raise OutputError(f"recording ended: {result.sentence}{files}")
+    sentence, advice = _learn_from_files(options, robot, result, progress)
     return Answer(
-        asdict(done) | {"sentence": sentence, "advice": advice},
+        asdict(result) | {"sentence": sentence, "advice": advice},
         title=sentence,
-        sentences=[done.sentence],
-        notes=done.notes,
-        written=[*(f"recorded: {file}" for file in done.files), advice],
+        sentences=[result.sentence],
+        notes=result.notes,
+        written=[*(f"recorded: {file}" for file in result.files), advice],
     )
 
 
-def _learnt(
+def _learn_from_files(
     options: RecordOptions, robot: ml.Robot | None, done: ml.RecordedFiles, progress: Progress
 ) -> tuple[str, str]:
-    """What all recordings of that name show, and what to do next."""
+    """Return the result of learning from all recordings of that name, and the next step, in words."""
+    enough = 1.0  # [deg] required accuracy of a direction: 9 mm at 0.5 m, more than a gripper gives way
     pattern = f"{shlex.quote(str(options.out / options.name))}_*.csv"
     if not done.files:
         return "", f"no joint moved by {MOVES:g} rad within {LOOK:g} s: guide the arm while this runs, or use --by key"
@@ -97,51 +103,54 @@ def _learnt(
         return "", f"not enough yet: {refusal}"
     if report.warnings:
         return report.sentence, f"show it once more, from another posture: {report.warnings[0]}"
-    if report.uncertainty_deg is None or report.uncertainty_deg > _ENOUGH:
-        return report.sentence, f"show it once more, from another posture, until it is known to {_ENOUGH:g} degree"
+    if report.uncertainty_deg is None or report.uncertainty_deg > enough:
+        return report.sentence, f"show it once more, from another posture, until it is known to {enough:g} degree"
     words = shlex.join(["--frame", tip, *options.words, "--out", f"{options.name}.json"])
     return report.sentence, f"enough: manip-learn learn {shlex.quote(str(options.robot))} {pattern} {words}"
 
 
-def driver_of(spec: str) -> ml.Driver:
-    """Return the driver that `FILE.py:NAME` or `package.module:NAME` names, or that calling what it names makes.
+def load_driver(spec: str) -> ml.Driver:
+    """Return the driver that `FILE.py:NAME` or `package.module:NAME` names; a factory is called.
+
+    Args:
+        spec: Argument of the command.
 
     Raises:
-        ConfigurationError: There is none, or its code fails.
+        ConfigurationError: There is no driver, or its code fails.
     """
     place, _, name = spec.rpartition(":")
     if not place:
         raise ConfigurationError(f"DRIVER must be FILE.py:NAME or package.module:NAME, got {spec!r}")
-    # as Python does for a script: its neighbours are found
+    # as for a script in Python: modules in its folder can be imported
     sys.path[:0] = [str(Path(place).parent.absolute()), os.getcwd()]
     try:
         if place.endswith(".py"):
-            named = importlib.util.spec_from_file_location(Path(place).stem, place)
-            if named is None or named.loader is None or not Path(place).is_file():
+            specification = importlib.util.spec_from_file_location(Path(place).stem, place)
+            if specification is None or specification.loader is None or not Path(place).is_file():
                 raise ConfigurationError(f"no driver: the file {place} does not exist")
-            module = sys.modules[named.name] = importlib.util.module_from_spec(named)
-            named.loader.exec_module(module)
+            module = sys.modules[specification.name] = importlib.util.module_from_spec(specification)
+            specification.loader.exec_module(module)
         else:
             module = importlib.import_module(place)
-        found = getattr(module, name)
-        driver = found if _is_driver(found) else found()
+        result = getattr(module, name)
+        driver = result if _is_driver(result) else result()
     except ml.ManipLearnError:
         raise
-    except Exception as error:  # whatever the user's own file raises, he gets a sentence
+    except Exception as error:  # any error in the user's own file becomes a sentence
         raise ConfigurationError(f"no driver {spec}: {type(error).__name__}: {error}") from error
     if not _is_driver(driver):
         raise ConfigurationError(f"{spec} is no driver: it needs a period [s] and read(), see `manip_learn.Driver`")
     return driver
 
 
-def _is_driver(found: object) -> bool:
-    ready = isinstance(getattr(found, "period", None), float | int) and callable(getattr(found, "read", None))
-    return ready and not isinstance(found, type)
+def _is_driver(candidate: object) -> bool:
+    ready = isinstance(getattr(candidate, "period", None), float | int) and callable(getattr(candidate, "read", None))
+    return ready and not isinstance(candidate, type)
 
 
 def _keys(opened: ExitStack) -> Callable[[], Key]:
-    """Return a function for enter or space and q as they are pressed; of a terminal before the end of a line."""
-    source, meanings = sys.stdin.fileno(), dict[bytes, Key]({b"q": "end", b"": "end"})  # b"": nobody is there
+    """Return a function that reads enter, space and q; on a terminal without waiting for the end of a line."""
+    source, meanings = sys.stdin.fileno(), dict[bytes, Key]({b"q": "end", b"": "end"})  # b"": the input is closed
     meanings |= dict.fromkeys((b"\n", b"\r", b" "), "start or stop")
     if os.isatty(source):
         import termios

@@ -1,4 +1,4 @@
-"""`manip-learn repeat`: all that the recordings show, done again from any start."""
+"""`manip-learn repeat`: reproduce the demonstrated task from any start."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import manip_learn as ml
 from manip_learn.commands.loading import robot_of_constraint
 from manip_learn.commands.options import RepeatOptions, vector
 from manip_learn.commands.output import Answer, Progress, cells, place
-from manip_learn.commands.simulated import scene_of, start_posture, with_rollout
+from manip_learn.commands.simulated import load_scene, start_posture, write_rollout
 from manip_learn.errors import TargetError, counted
 
 _STEP = (
@@ -24,11 +24,18 @@ _STEP = (
 def repeat_skill(options: RepeatOptions, progress: Progress) -> Answer:
     """Plan and simulate every step of a skill; write the rollout and a replay to files if they are named.
 
+    Args:
+        options: Options of the command.
+        progress: Function of the name of a stage and its completed share.
+
+    Returns:
+        Answer with a row for each step.
+
     Raises:
-        NoPlanError: A step that cannot be done; nothing is written.
+        NoPlanError: A step is infeasible; nothing is written.
         TargetError: `--moved` has neither 3 nor 6 numbers.
         ConfigurationError: `--tip-speed` is not positive, or another word.
-        ManipLearnError: Anything that is wrong with the robot, the file, the numbers or the output.
+        ManipLearnError: An error in the robot, the file, the numbers or the output.
     """
     robot = robot_of_constraint(options.robot, options.task, options)
     skill = ml.Skill.load(options.task, robot)
@@ -41,33 +48,33 @@ def repeat_skill(options: RepeatOptions, progress: Progress) -> Answer:
             raise TargetError(f"{text}{len(moved)}")
         T, turned = np.eye(4), Rotation.from_euler("xyz", moved[3:] or [0.0] * 3, degrees=True)
         T[:3, 3], T[:3, :3] = moved[:3], turned.as_matrix()
-    made: dict[str, Any] = {"seed": options.seed, "tip_speed": options.tip_speed, "prefer": options.prefer}
+    arguments: dict[str, Any] = {"seed": options.seed, "tip_speed": options.tip_speed, "prefer": options.prefer}
     with suppress(ValueError):  # `repeat` refuses other words
-        made["tip_speed"] = None if options.tip_speed == "none" else float(options.tip_speed)
-    done = ml.repeat(skill, q0, T, scene=scene_of(options.scene, robot), **made, progress=progress)
-    rollout, steps, ends, rows = done.rollout, [step.to_dict() for step in done.steps], [], []
-    for step, told in zip(done.steps, steps, strict=True):
+        arguments["tip_speed"] = None if options.tip_speed == "none" else float(options.tip_speed)
+    result = ml.repeat(skill, q0, T, scene=load_scene(options.scene, robot), **arguments, progress=progress)
+    rollout, steps, ends, rows = result.rollout, [step.to_dict() for step in result.steps], [], []
+    for step, document in zip(result.steps, steps, strict=True):
         if step.kind == "reach":
             missed = "" if step.off is None else f", {1e3 * step.off:.1f} mm from where a contact began"
             ends.append(f"{step.name}: at {place(step.place)}{missed}")
         off = {"off": 1e3 * step.deviation, "fine": "mm" if step.unit == "m" else "mm or mrad"}
-        rows.append({"step": step.name} | cells(told | off, _STEP))
-    ways = counted(sum(step.kind == "way" for step in done.steps), "way")
+        rows.append({"step": step.name} | cells(document | off, _STEP))
+    ways = counted(sum(step.kind == "way" for step in result.steps), "way")
     answer = Answer(
         {
-            "done": done.is_done,
+            "done": result.is_done,
             "steps": steps,
             "min_manipulability": float(np.min(rollout.manipulability)),
             "duration": float(rollout.time[-1]),
-            "tip_path": done.tip_path,
-            "tip_speed": done.tip_speed,
+            "tip_path": result.tip_path,
+            "tip_speed": result.tip_speed,
             "phases": [list(phase) for phase in rollout.phases],
-            "notes": list(done.notes),
+            "notes": list(result.notes),
         },
-        title=f"{ways} done as shown" if done.is_done else "not all of it was done",
-        sentences=[begins, done.pace, *ends],
+        title=f"{ways} done as shown" if result.is_done else "not all of it was done",
+        sentences=[begins, result.pace, *ends],
         rows=rows,
-        warnings=[f"{step.name}: stopped by {step.stopped_by}" for step in done.steps if step.stopped_by],
-        notes=done.notes,
+        warnings=[f"{step.name}: stopped by {step.stopped_by}" for step in result.steps if step.stopped_by],
+        notes=result.notes,
     )
-    return with_rollout(answer, rollout, robot, "repeat", options)
+    return write_rollout(answer, rollout, robot, "repeat", options)

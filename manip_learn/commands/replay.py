@@ -1,4 +1,4 @@
-"""`manip-learn replay`: rollouts, or recordings -> one HTML file."""
+"""`manip-learn replay`: write rollouts or recordings as one HTML file."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import manip_learn as ml
-from manip_learn.commands.loading import load_constraint, load_for_files, locks_of_files
+from manip_learn.commands.loading import load_constraint, load_for_files, locked_joint_notes
 from manip_learn.commands.options import ReplayOptions
 from manip_learn.commands.output import Answer, Progress
 from manip_learn.errors import ConstraintMismatchError, RecordingError
@@ -23,45 +23,52 @@ def replay_files(options: ReplayOptions, progress: Progress) -> Answer:
     """Write a replay of rollouts (of `control`) or of recordings.
 
     The joints are locked that were locked when the rollouts were made. With a constraint file, the phases and the
-    mechanism that were learnt with it are shown, and the joints are locked that were locked then.
+    mechanism of its fit are shown, and the joints are locked that were locked then.
+
+    Args:
+        options: Options of the command.
+        progress: Function of the name of a stage and its completed share.
+
+    Returns:
+        Answer with the name and the size of the page.
 
     Raises:
         RecordingError: No files, files that are neither rollouts nor recordings, rollouts of another robot or with
             other joints locked, or phases of other recordings.
-        ConstraintMismatchError: A constraint file of another robot, or none at all.
-        ManipLearnError: Anything else that is wrong with the robot or the output.
+        ConstraintMismatchError: A constraint file of another robot, or no constraint file.
+        ManipLearnError: Another error in the robot or the output.
     """
     progress("writing the replay", 0.0)
-    name, files = named_robot(options.files)
-    learnt, constraint, tip, keywords = dict[str, Any](), None, options.tip, options.keywords()
+    name, files = split_robot(options.files)
+    provenance, constraint, tip, keywords = dict[str, Any](), None, options.tip, options.keywords()
     if options.constraint is None:
         robot = load_for_files(name, files, options)
-        notes = locks_of_files(robot, options)
+        notes = locked_joint_notes(robot, options)
     else:
         constraint, robot = load_constraint(name, str(options.constraint), options)
-        learnt, notes = constraint.provenance, list(constraint.notes)
+        provenance, notes = constraint.provenance, list(constraint.notes)
         tip = tip or getattr(constraint.features, "frame", None)
-        if not isinstance(found := learnt.get("mechanism") or {}, Mapping):
-            wrong = f"its mechanism must be an object, it is {found!r:.60}: save it again"
+        if not isinstance(mechanism := provenance.get("mechanism") or {}, Mapping):
+            wrong = f"its mechanism must be an object, it is {mechanism!r:.60}: save it again"
             raise ConstraintMismatchError(f"{options.constraint}: {wrong}")
     rollouts = [file for file in files if getattr(_header(recording_path(file)), "kind", "") == "rollout"]
     recordings = [file for file in files if file not in rollouts]
     if keywords and not recordings:
-        asked = ", ".join(flag_of(name) for name in keywords)
-        raise RecordingError(f"rollouts are read as they were written, so {asked} has no use: leave it out")
-    motions, named = list[tuple[str, ml.Rollout | ml.Trajectory]](), dict[str, ml.Rollout | ml.Trajectory]()
+        flags = ", ".join(flag_of(name) for name in keywords)
+        raise RecordingError(f"rollouts are read as they were written, so {flags} has no use: leave it out")
+    motions, by_name = list[tuple[str, ml.Rollout | ml.Trajectory]](), dict[str, ml.Rollout | ml.Trajectory]()
     for path in map(Path, rollouts):
-        rollout, said = ml.Rollout.load_with_notes(path, robot)
+        rollout, remarks = ml.Rollout.load_with_notes(path, robot)
         motions.append((path.stem, rollout))
-        notes += [f"{path.name}: {note}" for note in said]
-    if recordings:  # together, since an option may be meant for one of them
+        notes += [f"{path.name}: {note}" for note in remarks]
+    if recordings:  # load them together: an option may apply to one of them only
         motions += [(t.name, t) for t in ml.load_demonstrations(recordings, robot, **keywords)]
     for name, motion in motions:
         numbered = (f"{name} ({n})" for n in count(2))
-        named[next(one for one in chain((name,), numbered) if one not in named)] = motion
-    phases = phases_from_json((learnt.get("phases") if recordings else None) or [])
-    shown: dict[str, Any] = {"phases": phases, "notes": notes, "constraint": constraint, "report": learnt or None}
-    page = ml.replay(robot, named, options.html, tip=tip, open_browser=options.open_browser, **shown)
+        by_name[next(one for one in chain((name,), numbered) if one not in by_name)] = motion
+    phases = phases_from_json((provenance.get("phases") if recordings else None) or [])
+    facts: dict[str, Any] = {"phases": phases, "notes": notes, "constraint": constraint, "report": provenance or None}
+    page = ml.replay(robot, by_name, options.html, tip=tip, open_browser=options.open_browser, **facts)
     return Answer(page.to_dict(), notes=page.notes, page=page)
 
 
@@ -69,11 +76,17 @@ def _header(path: Path) -> FileHeader | None:
     return file_header(path) if path.is_file() else None
 
 
-def named_robot(words: list[str]) -> tuple[str, list[str]]:
-    """The robot and the files, of the words of a command line: what a rollout was made with, or the first word.
+def split_robot(words: list[str]) -> tuple[str, list[str]]:
+    """Return the robot and the files among the words of a command line.
+
+    Args:
+        words: Arguments of the command.
+
+    Returns:
+        Robot with which the first file was made, or the first word; and the names of the files.
 
     Raises:
-        RecordingError: Files that do not know their robot, and none is named; or a robot alone.
+        RecordingError: The files do not contain their robot, and none is named; or a robot alone.
     """
     first = Path(words[0])
     if (header := _header(first)) is not None and header.robot is not None:

@@ -10,12 +10,20 @@ from manip_learn.experiments import reproduce as run_experiments
 
 
 def reproduce_paper(options: ReproduceOptions, progress: Progress) -> Answer:
-    """Run one experiment, or all; numbers of each part, and its page in Markdown."""
+    """Run one experiment, or all; return the numbers of each part, and its page in Markdown.
+
+    Args:
+        options: Options of the command.
+        progress: Function of the name of a stage and its completed share.
+
+    Returns:
+        Answer with the numbers and the pages.
+    """
     pages = dict[str, str]()
 
     def keep(part: str, result: Any) -> None:
         pages[part] = result.markdown()
 
-    asked = (options.experiment, options.trials, options.seed, options.out)
-    numbers = run_experiments(*asked, progress, workers=options.workers, on_result=keep)
+    arguments = (options.experiment, options.trials, options.seed, options.out)
+    numbers = run_experiments(*arguments, progress, workers=options.workers, on_result=keep)
     return Answer(numbers, pages=pages, written=[f"written: {options.out}" if options.out else ""])

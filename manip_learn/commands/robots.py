@@ -1,4 +1,4 @@
-"""`manip-learn robots` and `inspect`: the robots that can be named, and what one is made of."""
+"""`manip-learn robots` and `inspect`: list the available robots, and describe one of them."""
 
 from __future__ import annotations
 
@@ -24,15 +24,22 @@ _ORIGINS = {
 
 
 def known_robots(options: RobotsOptions, progress: Progress) -> Answer:
-    """List every robot that has a name here and now, with its joints.
+    """List every available robot, with its joints.
 
     In the document, `origin` is `package`, `extra` (of the extra `robots`) or `net` (of the extra `descriptions`);
-    `joints` move on their own, and there are none where a description is refused, or not fetched to be listed.
+    `joints` move on their own; the list is empty if a description is refused, or would have to be fetched.
+
+    Args:
+        options: Options of the command.
+        progress: Function of the name of a stage and its completed share.
+
+    Returns:
+        Answer with the robots of each origin.
     """
     packaged, robots, sentences = example_robots(), [], []
-    known = {"package": SHIPPED, "extra": packaged, "net": fetched_names().difference(SHIPPED, packaged)}
+    names_of = {"package": SHIPPED, "extra": packaged, "net": fetched_names().difference(SHIPPED, packaged)}
     for origin, (title, extra, examples) in _ORIGINS.items():
-        described = [_described(name, origin) for name in sorted(known[origin])]
+        described = [_robot_facts(name, origin) for name in sorted(names_of[origin])]
         robots += described
         sizes = ("" if origin == "net" else f" ({'refused' if r['refused'] else len(r['joints'])})" for r in described)
         names = ", ".join(robot["name"] + size for robot, size in zip(described, sizes, strict=True))
@@ -40,10 +47,10 @@ def known_robots(options: RobotsOptions, progress: Progress) -> Answer:
     return Answer({"robots": robots, "extra_installed": bool(packaged)}, sentences=sentences)
 
 
-def _described(name: str, origin: str) -> dict[str, Any]:
+def _robot_facts(name: str, origin: str) -> dict[str, Any]:
     moving, refused = list[str](), None
     try:
-        if origin != "net":  # which is not fetched to be listed
+        if origin != "net":  # not fetched only for the list
             path = find_robot(name)
             checked = validate_urdf(parse_xml(read_description(path), path))
             followers = {m.joint for m in checked.followers}
@@ -57,7 +64,15 @@ _JOINT = "kind: {kind}; lower: {lower:.4g}; upper: {upper:.4g}; velocity: {veloc
 
 
 def inspect(options: InspectOptions, progress: Progress) -> Answer:
-    """Load a robot, check its forward kinematics by another library, and show what one must know before recording."""
+    """Load a robot, check its forward kinematics by another library, and show the facts needed before recording.
+
+    Args:
+        options: Options of the command.
+        progress: Function of the name of a stage and its completed share.
+
+    Returns:
+        Answer with a row for each joint.
+    """
     summary = inspect_robot(options.load(options.robot))
     joints, check, tip = summary.joints, summary.cross_check, summary.tips[0] if summary.tips else "NAME"
     flag = f"--frame {shlex.quote(tip)}"
@@ -73,7 +88,7 @@ def inspect(options: InspectOptions, progress: Progress) -> Answer:
         "shapes": summary.shapes,
     }
     return Answer(
-        dataclasses.asdict(summary),  # limits that do not exist are infinite, which JSON says as null
+        dataclasses.asdict(summary),  # missing limits are infinite, null in JSON
         title=f"{summary.name}: nq {summary.nq}, nv {summary.nv}",
         facts={name: fact for name, fact in facts.items() if fact not in ("", "none")},
         rows=[{"joint": j.name} | cells(vars(j), _JOINT) for j in joints],

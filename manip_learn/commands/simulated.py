@@ -1,4 +1,4 @@
-"""Start, surroundings and files of a simulated motion."""
+"""Start, scene and files of a simulated motion."""
 
 from __future__ import annotations
 
@@ -12,30 +12,55 @@ from manip_learn.planning.plan import Around
 
 
 def start_posture(robot: ml.Robot, constraint: ml.Constraint, start: str | None, moves: bool) -> tuple[np.ndarray, str]:
-    """Return the start posture; if none was typed, the first that was shown for a motion, and a sentence about it."""
-    shown, typed = constraint.provenance.get("postures"), vector("--start", start)
+    """Return the start configuration, and a sentence about it.
+
+    Args:
+        robot: The robot.
+        constraint: Constraint with the demonstrated postures.
+        start: Typed posture; None for the first demonstrated one.
+        moves: False to begin in the neutral posture instead.
+
+    Returns:
+        Configuration (nq,); and a sentence, empty for a typed posture.
+    """
+    demonstrated, typed = constraint.provenance.get("postures"), vector("--start", start)
     q0, whence = robot.neutral(), "the robot's neutral posture"
     if typed is not None:
         q0, whence = robot.checked_posture(typed), ""
-    elif moves and shown:
-        q0, whence = robot.checked_posture(shown[0]), "the first posture in which the task was shown"
+    elif moves and demonstrated:
+        q0, whence = robot.checked_posture(demonstrated[0]), "the first posture in which the task was shown"
     check_inside(robot, robot.positions(q0))
     return q0, f"start: {whence} (another: --start)" if whence else ""
 
 
-def scene_of(given: str | None, robot: ml.Robot) -> Around:
-    """Return what `--scene` names.
+def load_scene(given: str | None, robot: ml.Robot) -> Around:
+    """Return the scene that `--scene` names.
+
+    Args:
+        given: File of a scene; `"none"` for no obstacles; None to assume a floor.
+        robot: The robot.
 
     Raises:
-        SceneError: The file is none of a scene.
+        SceneError: The file is no scene.
     """
     return "assumed" if given is None else None if given == "none" else ml.Scene.load(given, robot)
 
 
-def with_rollout(
+def write_rollout(
     answer: Answer, rollout: ml.Rollout, robot: ml.Robot, name: str, options: ControlOptions | RepeatOptions
 ) -> Answer:
-    """Write the rollout and its replay where the options say so, and name the files in the answer."""
+    """Write the rollout and its replay if the options name files, and return the answer with their names.
+
+    Args:
+        answer: Answer without files.
+        rollout: The motion.
+        robot: The robot.
+        name: Name of the motion in the replay.
+        options: Options with the names of the files.
+
+    Returns:
+        Answer with the names of the files.
+    """
     page = None
     if options.html is not None:
         doubts = [*answer.warnings, *answer.notes]

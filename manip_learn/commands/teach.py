@@ -1,4 +1,4 @@
-"""`manip-learn teach`: a page on which an arm is taken by the hand, shown a task, and watched while it does it."""
+"""`manip-learn teach`: serve a page on which a simulated arm is guided by hand, and reproduces the task."""
 
 from __future__ import annotations
 
@@ -24,8 +24,15 @@ from manip_learn.teach.session import TeachingSession
 def teach(options: TeachOptions, progress: Progress) -> Answer:
     """Serve the page until it is closed.
 
+    Args:
+        options: Options of the command.
+        progress: Function of the name of a stage and its completed share.
+
+    Returns:
+        Answer with the folder and the recordings.
+
     Raises:
-        ManipLearnError: No tip or several, or a robot that cannot be taught in simulation.
+        ManipLearnError: No likely tip or several, or a robot that cannot be taught in simulation.
         MissingExtraError: MuJoCo is not installed.
         OutputError: The server does not start, or the folder cannot be written to.
     """
@@ -38,7 +45,7 @@ def teach(options: TeachOptions, progress: Progress) -> Answer:
         raise OutputError(f"--out {options.out} is a file: name a folder")
     name = known_as(robot.source) or robot.name or "robot"
     seed = FIRST_SEED if options.seed is None else options.seed
-    # 20 s, in which the server starts: a busy machine takes a few
+    # 20 s for the server to start: a busy machine takes a few
     pages = LiveProcess(partial(teaching_page, robot, name), 20.0, lambda said: session.hear(said), 1.0 / PERIOD)
     with closing(pages) as server, ExitStack() as handlers:
         session = TeachingSession(robot, tip, options.out, options.scene, seed, server)  # type: ignore[arg-type]
@@ -47,17 +54,17 @@ def teach(options: TeachOptions, progress: Progress) -> Answer:
             print(f"the page: {server.url}", file=sys.stderr, flush=True)
         else:
             server.open_in_browser()
-        # Ctrl-C, the end of the terminal and a polite kill end the session, whatever it does
+        # Ctrl-C, a closed terminal and SIGTERM end the session at any time
         names = ("SIGINT", "SIGTERM", "SIGHUP") if threading.current_thread() is threading.main_thread() else ()
         for number in [number for number in signal.Signals if number.name in names]:  # Windows has no SIGHUP
             handlers.callback(signal.signal, number, signal.signal(number, lambda *_: session.end()))
         session.run()
-        time.sleep(0.2)  # [s] in which open pages hear that the program has ended
+        time.sleep(0.2)  # [s] so that open pages receive the end of the program
     notes = session.arm.scene.notes
-    kept = f"{counted(len(session.files), 'recording')} kept in: {session.folder}"
+    location = f"{counted(len(session.files), 'recording')} kept in: {session.folder}"
     return Answer(
         {"folder": session.folder, "recordings": session.files, "sentence": session.sentence, "notes": notes},
         title=session.sentence,
         notes=notes,
-        written=[kept if session.files else "nothing was recorded"],
+        written=[location if session.files else "nothing was recorded"],
     )

@@ -24,8 +24,8 @@ from manip_learn.experiments.metrics import manipulability_along, nmie, scale_fr
 from manip_learn.experiments.paper_setup import PAPER_NMIE, SELECTIONS, Setup, demonstrate, null_parts, planar_features
 from manip_learn.experiments.results import TrialsResult, markdown_table, mean_and_sd, number, row_words, share, summary
 from manip_learn.experiments.trials import Trials
-from manip_learn.learning.fit import levels_on
-from manip_learn.learning.imposed import separated
+from manip_learn.learning.fit import view_levels
+from manip_learn.learning.imposed import separate_null_motion
 from manip_learn.learning.learner import ConstraintLearner
 from manip_learn.learning.table import Stretch, Table, View
 from manip_learn.linalg import complement_rows, row_space_angle
@@ -100,14 +100,14 @@ def learn(
     s, (kind, _, policy) = len(true), estimator.partition("-")
     if estimator in ("true-w", "separate-row-by-row"):
         view = View(features, Table(list(demonstrations)))
-        w = null_parts(features, demonstrations, true) if estimator == "true-w" else separated(view, seed)
+        w = null_parts(features, demonstrations, true) if estimator == "true-w" else separate_null_motion(view, seed)
         if isinstance(w, NotIdentifiableError):
             raise w
         if estimator == "separate-row-by-row":
             return view.selection(fit_row_by_row(view.Phi, w, s)), False
         view.table.u = w
         every = [Stretch(i, *ends) for i, ends in enumerate(view.table.ends)]
-        return view.selection(levels_on(View(features, view.table), every)[1][:s]), False
+        return view.selection(view_levels(View(features, view.table), every)[1][:s]), False
     settings: dict[str, Any] = {} if kind == "auto" else {"estimator": kind, "n_constraints": s}
     settings |= {"policy_model": policy} if policy else {}
     learner = ConstraintLearner(features, velocities="recorded", seed=seed, **settings).fit(demonstrations)

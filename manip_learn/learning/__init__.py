@@ -1,4 +1,4 @@
-"""Demonstrations -> Lambda."""
+"""Learning of Lambda from demonstrations."""
 
 from manip_learn.learning.learner import ConstraintLearner
 from manip_learn.learning.report import LearningReport

@@ -1,4 +1,4 @@
-"""Constraints from hypotheses that explain the recordings, each with its evidence and its doubts."""
+"""Constraints from hypotheses that explain the recordings, each with its evidence and warnings."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ from manip_learn.constraint.features.frame_jacobian import PoseRows
 from manip_learn.constraint.features.mechanism_rows import CurveRows, PlaceRows
 from manip_learn.constraint.mechanism import ON_THE_AXIS, Grip, Mechanism
 from manip_learn.errors import NotIdentifiableError, RecordingError, advice, counted, named, number_if_known
-from manip_learn.learning.fit import STATED, Errors, Motion, RowFit, angles, errors_of, groups_of, levels_on, misfit
-from manip_learn.learning.gate import FEWEST, Gate, is_firm, joints_at_once
+from manip_learn.learning.fit import LEVEL, Errors, Motion, RowFit, angles, draw_errors, group_fit, misfit, view_levels
+from manip_learn.learning.gate import FEWEST, Gate, is_firm, simultaneous_joints
 from manip_learn.learning.imposed import Imposed, learn_imposed
-from manip_learn.learning.place import KEPT, Placed, asked_rows, held_kind, kind_of, placed, reshaped, whole_fit
-from manip_learn.learning.repeats import once_each
+from manip_learn.learning.place import LOOSE, Placement, fit_shape, fit_whole, grip_kind, kind_of, locate, select_rows
+from manip_learn.learning.repeats import drop_duplicates
 from manip_learn.learning.search import SAME, Explanation, broken_energy, explain, lone_contacts
 from manip_learn.learning.table import (
     CLEAR_GAP,
-    FARTHEST,
     LEAST_GAIN,
     LEAST_MOTION,
+    MAX_RANGE,
     OVER_NOISE,
     REST_SPEED,
     SLIGHT,
@@ -36,16 +36,14 @@ from manip_learn.learning.table import (
     Table,
     View,
     excitation,
-    maps_of,
-    unusable,
+    row_maps,
+    table_refusal,
 )
 from manip_learn.linalg import orthonormal_rows, row_space_angle
 from manip_learn.recordings.load import Progress
 
-ADVISED = ("weak-gap", "no-evidence", "no-freedom")  # codes of refusals that other recordings may lift
 DISAGREES = "does not agree with the other recordings"
 IN_ONE_ONLY = "appears in one recording only"
-FEW_JOINTS_AT_ONCE = 1.6  # as of a hand-guided arm with friction
 
 
 Refusal = NotIdentifiableError | RecordingError
@@ -68,15 +66,17 @@ class Answer:
         view, rows: View, and whitened rows (s, r) of the position of the hand, or of the requested features.
         s, gap: Number of these rows, and its gap.
         stretches: Stretches in which the rows are constrained.
-        levels, gaps: Sizes and gaps of `levels_on`.
+        levels, gaps: Sizes and gaps of `view_levels`.
         unexplained, held_out: Share of the energy that violates the rows, and the same on held-out recordings.
-        fit, errors, uncertainty: Fit by displacements, draws of its error, and parts of the uncertainty [deg].
+        evidence: `Evidence` of the recombination test, for held rows; None otherwise.
+        fit: `RowFit` by displacements, for held rows; None otherwise.
+        errors, uncertainty: Draws of the error of the last fit, and parts of the uncertainty [deg].
         placed, shape: Mechanism with its place; shape that replaces the rows where no constant rows fit.
-        misfit: See `uncertainty.misfit`.
+        misfit: Result of `fit.misfit`.
         over_noise: Residual of the rows over the noise of recorded positions.
         firm: Fit of rows of the whole hand, for a firm grip.
         mechanism: Mechanism, or None.
-        uncertainty_deg: Error of the rows that is not exceeded in 68 % of cases [deg], in the places of the hand.
+        uncertainty_deg: Error of the rows that is not exceeded in 68 % of cases [deg], at the positions of the hand.
         contradiction: Contradiction by its own tests, in words; empty if there is none.
         clear: True if evidence and gap are clear.
         whole, asked: All rows that constrain the hand, and the rows in the requested axes.
@@ -90,13 +90,13 @@ class Answer:
     unexplained: float = 0.0
     held_out: float = float("nan")
     estimator: str = "null-space"
-    evidence: Any = None  # Evidence, and RowFit: of rows that are held
+    evidence: Any = None
     fit: Any = None
     errors: Errors | None = None
     uncertainty: dict[str, float | None] = field(default_factory=dict)
     mu_uncertainty: float | None = None
-    placed: Placed | None = None
-    shape: Placed | CurveRows | None = None
+    placed: Placement | None = None
+    shape: Placement | CurveRows | None = None
     misfit: tuple[float, float] = (0.0, 0.0)
     over_noise: float = 0.0
     warnings: list[str] = field(default_factory=list)
@@ -114,7 +114,7 @@ class Answer:
         if self.evidence is None:
             return
         best, s = max(self.gaps, key=lambda s: self.gaps[s], default=self.s), self.evidence.n_rows
-        if self.firm is not None:  # more rows than were asked of the tests
+        if self.firm is not None:  # it has more rows than were tested
             pass
         elif s < self.s:
             self.contradiction = f"the recombination test supports {s}: {self.evidence.sentence()}"
@@ -125,15 +125,15 @@ class Answer:
 
 
 @dataclass(eq=False)
-class Found:
+class Answers:
     """Answers, and the other stretches of the recordings.
 
     Attributes:
         answers: Answers, clear ones first.
         free: Stretches of free motion.
-        unlearnt: Stretches from which nothing is learnt, with the reason.
+        unlearnt: Stretches that are not used, with the reason.
         odd: Number of a recording that does not agree -> the difference in words.
-        warnings: Doubts about all recordings.
+        warnings: Warnings about all recordings.
     """
 
     answers: list[Answer]
@@ -143,92 +143,106 @@ class Found:
     warnings: list[str] = field(default_factory=list)
 
 
-def _moved_on_purpose(found: Imposed) -> Found:
+def _answer_driven_rows(imposed: Imposed) -> Answers:
     """Return the answer for rows that the demonstrator drives."""
-    view, fit, wholes = found.view, found.fit, found.view.table.wholes
+    view, fit, wholes = imposed.view, imposed.fit, imposed.view.table.wholes
     names = ("held_out", "estimator", "uncertainty", "warnings", "policy_model", "policy_residuals")
-    same = {name: getattr(found, name) for name in names}
-    mu = None if found.errors is None else mu_within(view, fit, found.errors, view.table.inside(wholes))
-    same["uncertainty_deg"] = float(np.linalg.norm([*found.uncertainty.values()])) if found.uncertainty else None
-    return Found([Answer(view, wholes, fit.rows, found.levels, found.gaps, fit.unexplained, mu_uncertainty=mu, **same)])
+    same = {name: getattr(imposed, name) for name in names}
+    same["mu_uncertainty"] = imposed.errors and mu_error(view, fit, imposed.errors, view.table.inside(wholes))
+    same["uncertainty_deg"] = float(np.linalg.norm([*imposed.uncertainty.values()])) if imposed.uncertainty else None
+    return Answers([Answer(view, wholes, fit.rows, imposed.levels, imposed.gaps, fit.unexplained, **same)])
 
 
-def advised(refusal: Refusal, table: Table, settings: Settings, facts: Sequence[str]) -> Refusal:
-    """Return the refusal with advice: the likeliest remedies first, then the reason and the facts."""
+def add_advice(refusal: Refusal, table: Table, settings: Settings, facts: Sequence[str]) -> Refusal:
+    """Return the refusal with advice: the likeliest remedies first, then the reason and the facts.
+
+    Args:
+        refusal: Refusal without advice.
+        table: Samples.
+        settings: Settings of the fit.
+        facts: Facts about the recordings, in sentences.
+
+    Returns:
+        Refusal with the two likeliest remedies in its message; unchanged for a `RecordingError`.
+    """
+    codes = ("weak-gap", "no-evidence", "no-freedom")  # other recordings may resolve these refusals
     if isinstance(refusal, RecordingError):
         return refusal
     causes = list(refusal.advice)
-    if refusal.code in ADVISED:
+    if refusal.code in codes:
         if len(table.moved) < FEWEST:
-            given = counted(len(table.moved), "recording")
-            causes.append(f"record at least {FEWEST}, better 5, that differ in way and posture, not {given}")
+            count = counted(len(table.moved), "recording")
+            causes.append(f"record at least {FEWEST}, better 5, with different paths and postures, not {count}")
         if not settings.phases:
             allowed = advice(", or allow {}", "phases='auto'", "--phases auto")
             causes.append(f"cut the recordings to the contact, since no single constraint fits the whole{allowed}")
         if still := excitation(table.joint_names, table.u)[1]:
             locked = advice(" ({})", f"load_robot(..., locked={still})", " ".join(f"--lock {name}" for name in still))
-            causes.append(f"move {named('joint', still)} too, or lock what shall hardly move{locked}")
+            causes.append(f"move {named('joint', still)} too, or lock joints that should not move{locked}")
         if (fastest := float(np.max(np.abs(table.u)))) < REST_SPEED:
-            causes.append(f"move faster, noise hides a motion in which no joint exceeds {fastest:.2g} rad/s")
+            causes.append(f"move faster: encoder noise hides a motion in which no joint exceeds {fastest:.2g} rad/s")
         if not causes:
             unsure = "no constraint is confirmed by several recordings"
             causes.append(f"record again, in contact, from other starts: {unsure}")
     why = "; ".join([str(refusal), *facts])
-    said = f"{'; or '.join(causes[:2])}. {why[0].upper()}{why[1:]}" if causes else why
-    return NotIdentifiableError(said, code=refusal.code, gaps=refusal.gaps, advice=(*causes, *facts))
+    text = f"{'; or '.join(causes[:2])}. {why[0].upper()}{why[1:]}" if causes else why
+    return NotIdentifiableError(text, code=refusal.code, gaps=refusal.gaps, advice=(*causes, *facts))
 
 
-def learn(table: Table, settings: Settings, progress: Progress) -> Found | Refusal:
-    """Return an answer for each part of the recordings, clear ones first; or a refusal, without advice.
+def learn(table: Table, settings: Settings, progress: Progress) -> Answers | Refusal:
+    """Learn the constraints of the recordings.
 
     Args:
-        table: The samples.
+        table: Samples.
         settings: Settings of the fit.
         progress: Function of the name of a stage and its completed share.
+
+    Returns:
+        An answer for each part of the recordings, clear ones first; or a refusal, without advice.
     """
     nv = table.u.shape[1]
     if other := {f.nv for f in settings.asked} - {nv}:
         return RecordingError(f"the recordings have {nv} joint velocities, the features {min(other)}", code="shape")
-    asked = [v for v in (View(f, table) for f in settings.asked) if v.r]
-    if not asked:
+    requested = [v for v in (View(f, table) for f in settings.asked) if v.r]
+    if not requested:
         why = "all rows are zero on these recordings: choose axes in which the frame can move"
         return NotIdentifiableError(why, code="zero-features")
-    if refusal := unusable(table, asked[0].r, settings.n_constraints):
+    if refusal := table_refusal(table, requested[0].r, settings.n_constraints):
         return refusal
     if settings.estimator in ("joint", "separate"):
-        imposed = learn_imposed(asked, settings)
-        return _moved_on_purpose(imposed) if isinstance(imposed, Imposed) else imposed
+        imposed = learn_imposed(requested, settings)
+        return _answer_driven_rows(imposed) if isinstance(imposed, Imposed) else imposed
     maps = [settings.asked, (), ()]
     if settings.mechanism and settings.n_constraints is None:
-        curved = maps_of(settings.asked, table, "surface") if len(table.moved) >= FEWEST else ()
-        maps = [maps_of(settings.asked, table, "place"), maps_of(settings.asked, table, "whole"), curved]
+        curved = row_maps(settings.asked, table, "surface") if len(table.moved) >= FEWEST else ()
+        maps = [row_maps(settings.asked, table, "place"), row_maps(settings.asked, table, "whole"), curved]
     first, whole, curved = ([v for v in (View(f, table) for f in some) if v.largest > 0] for some in maps)
-    for rivals, own in ((first, first), ([*first, *whole], whole), (curved, curved), (asked, asked)):
-        for view in own:
+    for rivals, searched in ((first, first), ([*first, *whole], whole), (curved, curved), (requested, requested)):
+        for view in searched:
             view.tried = sum(rival.largest for rival in rivals)
     switch, gate = settings.switch if settings.phases else np.inf, Gate(settings.seed, settings.strength)
     # the place of the hand first; then its whole twist, if that does not explain; then curved surfaces
-    out: Found | NotIdentifiableError | None = None
-    for share, own in enumerate(([*first, *whole], whole if first else [], curved)):
+    out: Answers | NotIdentifiableError | None = None
+    for share, searched in enumerate(([*first, *whole], whole if first else [], curved)):
         progress("searching", 0.2 * share)
-        found = explain(own, gate, switch, len(first) if own[0] in first else 0) if own else None
-        if found is not None and found.hypotheses:
+        explanation = explain(searched, gate, switch, len(first) if searched[0] in first else 0) if searched else None
+        if explanation is not None and explanation.hypotheses:
             progress("fitting", 0.2 * share + 0.1)
-            now = _divided(found, [*first, *whole, *curved], whole, gate, settings)
+            now = _answer_parts(explanation, [*first, *whole, *curved], whole, gate, settings)
             out = out if out and isinstance(now, NotIdentifiableError) else now  # the first refusal
-            if isinstance(out, Found):
+            if isinstance(out, Answers):
                 break
-    few = 0  # recordings with an answer that rows which are moved on purpose do not explain as well
-    if isinstance(out, Found) and (best := out.answers[0]):
-        told = best.evidence.verdict(best.s) == "clear" or (best.gap >= CLEAR_GAP and best.unexplained < 1e-4)
-        few = told * len({s.recording for a in out.answers for s in a.stretches})
+    few = 0  # recordings with an answer that driven rows would not explain as well
+    if isinstance(out, Answers) and (best := out.answers[0]):
+        is_clear = best.evidence.verdict(best.s) == "clear" or (best.gap >= CLEAR_GAP and best.unexplained < 1e-4)
+        few = is_clear * len({s.recording for a in out.answers for s in a.stretches})
     if settings.estimator == "auto" and len(table.moved) > 1 and 2 * few < len(table.moved):
-        imposed = learn_imposed(asked, settings)
+        imposed = learn_imposed(requested, settings)
         if isinstance(imposed, Imposed):
-            return _moved_on_purpose(imposed)
-    out = out or _undivided(asked, gate, settings)
-    if isinstance(out, Found):
-        out.answers = [completed(a, settings) for a in out.answers]
+            return _answer_driven_rows(imposed)
+    out = out or _answer_whole(requested, gate, settings)
+    if isinstance(out, Answers):
+        out.answers = [complete_answer(a, settings) for a in out.answers]
     return out
 
 
@@ -243,90 +257,103 @@ class _Part(NamedTuple):
     spans: list[Stretch]
 
 
-def _fitted(found: Explanation, views: list[View], out: Found, settings: Settings) -> list[_Part]:
-    """Return what the hypotheses are by displacements, apart for each place; names what does not agree in `out`."""
-    table, done = found.views[0].table, list[_Part]()
-    states = found.seen([v.all for v in found.views])[1]
-    for k in np.argsort(-found.supports):
-        h = found.hypotheses[k]
-        view = found.views[h.view]
-        given = [view.sharpened(h.rows, s) for s in found.stretches(k + 1, states)]
-        usual = np.median([s.end - s.start for s in given]) if given else 0.0
-        # a shorter one is chance
-        given = [s for s in given if s.end - s.start >= 0.25 * usual and len(table.samples(s)) > 2]
-        if not given:
+def _fit_parts(explanation: Explanation, views: list[View], out: Answers, settings: Settings) -> list[_Part]:
+    """Fit the hypotheses to displacements, separately for each place; report disagreeing recordings in `out`."""
+    table, parts = explanation.views[0].table, list[_Part]()
+    states = explanation.evaluate([v.all for v in explanation.views])[1]
+    for k in np.argsort(-explanation.supports):
+        h = explanation.hypotheses[k]
+        view = explanation.views[h.view]
+        all_spans = [view.trim(h.rows, s) for s in explanation.stretches(k + 1, states)]
+        usual = np.median([s.end - s.start for s in all_spans]) if all_spans else 0.0
+        # shorter stretches occur by chance
+        all_spans = [s for s in all_spans if s.end - s.start >= 0.25 * usual and len(table.samples(s)) > 2]
+        if not all_spans:
             continue
         alike = [v for v in views if v.turns == view.turns]
-        spans = view.steady(h.rows, given)
+        spans = view.steady_stretches(h.rows, all_spans)
         fit = best_fit(alike, view, h.rows, spans, settings)
-        if len(spans) < len(given) and len(again := fit.view.steady(fit.rows, given)) > len(spans):
+        if len(spans) < len(all_spans) and len(again := fit.view.steady_stretches(fit.rows, all_spans)) > len(spans):
             spans = again
             fit = best_fit(alike, fit.view, fit.rows, spans, settings)
-        for s in (s for s in given if s not in spans):
-            out.odd[s.recording] = differs(fit, [s], {x.recording for x in spans})
+        for s in (s for s in all_spans if s not in spans):
+            out.odd[s.recording] = describe_difference(fit, [s], {x.recording for x in spans})
             out.unlearnt.append((s, DISAGREES))
         part = _Part(fit, h.scale[1], spans)
-        for j, other in enumerate(done):  # apart for an arm that is not quite its description
-            if both := _at_the_same_place(other, part, settings):
-                done[j] = both
+        for j, other in enumerate(parts):  # errors of the arm split one place into several hypotheses
+            if both := _merge_same_place(other, part, settings):
+                parts[j] = both
                 break
         else:
-            places = groups_of(fit)
-            done += [part] if len(places) == 1 else _at_each_place(part, places, out, settings)
-    return done
+            places = group_fit(fit)
+            parts += [part] if len(places) == 1 else _split_places(part, places, out, settings)
+    return parts
 
 
 def angle_between(one: _Part | Answer, other: _Part | Answer) -> float:
-    """Return the angle between rows [rad]; infinite for rows of different features or numbers."""
+    """Return the angle between the row spaces of two parts.
+
+    Args:
+        one: One part or answer.
+        other: The other part or answer.
+
+    Returns:
+        Angle [rad]; infinite for rows of different features or numbers.
+    """
     a, b, view = one.fit.rows, other.fit.rows, one.fit.view
     if view is not other.fit.view or len(a) != len(b):
         return np.inf
     return row_space_angle(view.selection(a), view.selection(b))
 
 
-def _at_the_same_place(one: _Part, other: _Part, settings: Settings) -> _Part | None:
-    """Return both parts as one, of different recordings that share a place but for errors of the arm; else None."""
+def _merge_same_place(one: _Part, other: _Part, settings: Settings) -> _Part | None:
+    """Merge two parts of different recordings that share a place except for errors of the arm; None if they do not."""
     if angle_between(one, other) > 3.0 * SAME or {s.recording for s in one.spans} & {s.recording for s in other.spans}:
         return None
     spans = [*one.spans, *other.spans]
     both = best_fit([other.fit.view], other.fit.view, one.fit.rows, spans, settings)
-    return _Part(both, other.share, spans) if len(groups_of(both)) == 1 else None
+    return _Part(both, other.share, spans) if len(group_fit(both)) == 1 else None
 
 
-def _at_each_place(part: _Part, groups: list[set[int]], out: Found, settings: Settings) -> list[_Part]:
-    """Return the part for each place that several recordings share; names the recordings of no such place in `out`."""
+def _split_places(part: _Part, groups: list[set[int]], out: Answers, settings: Settings) -> list[_Part]:
+    """Return the part for each place that several recordings share; report all other recordings in `out`."""
     (fit, _, spans), recordings = part, set(part.fit.motion.recs)
 
-    def of(some: set[int]) -> _Part:
-        """Return the part in some recordings."""
-        own = [s for s in spans if s.recording in some]
-        return part._replace(fit=best_fit([fit.view], fit.view, fit.rows, own, settings), spans=own)
+    def restrict(some: set[int]) -> _Part:
+        """Return the part in some recordings.
+
+        Args:
+            some: Numbers of the recordings.
+        """
+        some_spans = [s for s in spans if s.recording in some]
+        return part._replace(fit=best_fit([fit.view], fit.view, fit.rows, some_spans, settings), spans=some_spans)
 
     several = [g for g in groups if len(g) > 1]
     if 2 * sum(map(len, several)) <= len(recordings):
         last = max(recordings)
         places = f"{len(groups)} places in {counted(len(recordings), 'recording')}"
-        stood = f"it is learnt as it stood in {fit.view.table.moved[last].name}"
-        out.warnings.append(f"what holds the hand was moved between recordings ({places}): {stood}")
-        return [of({last})._replace(spans=spans)]
-    done = [of(g) for g in several]
+        stood = f"it is learnt where it stood in {fit.view.table.moved[last].name}"
+        out.warnings.append(f"the mechanism was moved between recordings ({places}): {stood}")
+        return [restrict({last})._replace(spans=spans)]
+    parts = [restrict(g) for g in several]
     for s in (s for s in spans if not any(s.recording in g for g in several)):
-        own = [x for x in spans if x.recording == s.recording]
-        out.odd[s.recording] = differs(done[0].fit, own, several[0])
+        its_spans = [x for x in spans if x.recording == s.recording]
+        out.odd[s.recording] = describe_difference(parts[0].fit, its_spans, several[0])
         out.unlearnt.append((s, DISAGREES))
-    return done
+    return parts
 
 
-def _divided(
-    found: Explanation, views: list[View], whole: list[View], gate: Gate, settings: Settings
-) -> Found | NotIdentifiableError:
-    """Return the answers for an explanation, with what is said of them together; or the refusal of the first part."""
-    table, out = found.views[0].table, Found([])
-    tried = [(part.spans, answered(part, gate, whole, settings)) for part in _fitted(found, views, out, settings)]
-    out.answers = [a for _, a in tried if isinstance(a, Answer)]
-    refused = [(spans, a) for spans, a in tried if isinstance(a, NotIdentifiableError)]
+def _answer_parts(
+    explanation: Explanation, views: list[View], whole: list[View], gate: Gate, settings: Settings
+) -> Answers | NotIdentifiableError:
+    """Return the answers for an explanation, with their common warnings; or the refusal of the first part."""
+    table, out = explanation.views[0].table, Answers([])
+    parts = _fit_parts(explanation, views, out, settings)
+    results = [(part.spans, evaluate(part, gate, whole, settings)) for part in parts]
+    out.answers = [a for _, a in results if isinstance(a, Answer)]
+    refused = [(spans, a) for spans, a in results if isinstance(a, NotIdentifiableError)]
     if not out.answers:
-        none = NotIdentifiableError("no contact lasts long enough to be learnt from", code="no-evidence")
+        none = NotIdentifiableError("no contact is long enough to learn from", code="no-evidence")
         return refused[0][1] if refused else none
     out.answers.sort(key=lambda a: (not a.clear, a.gap < CLEAR_GAP))
     best = out.answers[0]
@@ -334,66 +361,73 @@ def _divided(
         for a in [a for a in out.answers if not a.clear and (best.clear or a.gap < CLEAR_GAP)]:
             out.answers.remove(a)
             out.unlearnt += [(s, "kept, not shown to be held") for s in a.stretches]
-            kept = f"{counted(a.s, 'row')} in {counted(len(a.stretches), 'stretch')} not learnt: the way of moving"
-            out.warnings.append(f"{kept} may keep them, nothing holds them (gap {a.gap:.3g})")
+            text = f"{counted(a.s, 'row')} in {counted(len(a.stretches), 'stretch')} not learnt: they may"
+            out.warnings.append(f"{text} only be habits of the demonstrator (gap {a.gap:.3g})")
     for spans, refusal in refused:
         out.warnings.append(f"a further constraint is not learnt: {refusal}")
-        out.unlearnt += [(s, "what several recordings show here could not be learnt") for s in spans]
+        out.unlearnt += [(s, "a constraint in several recordings that could not be learnt") for s in spans]
     tasks = [{s.recording for s in a.stretches} for a in out.answers]
     if len(tasks) > 1 and not set.intersection(*tasks):
-        shown = " and ".join(counted(len(t), "recording") for t in tasks)
-        out.warnings.append(f"the recordings show {len(tasks)} tasks, {shown}: each constraint is learnt from its own")
+        sizes = " and ".join(counted(len(t), "recording") for t in tasks)
+        out.warnings.append(f"the recordings show {len(tasks)} tasks, {sizes}: each constraint is learnt from its own")
     for i, (a, b) in enumerate(pairwise(out.answers), 1):
         if (angle := angle_between(a, b)) < 2.0 * SAME:
-            out.warnings.append(
-                f"constraints {i} and {i + 1} differ by {np.degrees(angle):.1f} deg only: kept apart, not averaged"
-            )
-    _odd_ones(out, table)
-    taken = [s for a in out.answers for s in a.stretches] + [s for s, _ in out.unlearnt]
+            difference = f"constraints {i} and {i + 1} differ by {np.degrees(angle):.1f} deg only"
+            out.warnings.append(f"{difference}: kept apart, not averaged")
+    _report_outliers(out, table)
+    used = [s for a in out.answers for s in a.stretches] + [s for s, _ in out.unlearnt]
     if settings.phases and len(table.moved) > 1:
-        places = [k for k, v in enumerate(found.views) if not v.turns and not v.curved]
-        lone = lone_contacts(found, places, lambda view, s: gate.evidence(view, [s]).n_rows)
-        lone = [s for s in lone if not any(meet(s, other) for other in taken)]
+        places = [k for k, v in enumerate(explanation.views) if not v.turns and not v.curved]
+        lone = lone_contacts(explanation, places, lambda view, s: gate.evidence(view, [s]).n_rows)
+        lone = [s for s in lone if not any(overlap(s, other) for other in used)]
         out.unlearnt += [(s, IN_ONE_ONLY) for s in lone]
-        taken += lone
-    out.free = found.stretches(0, np.where(table.inside(taken), 1, 0))
+        used += lone
+    out.free = explanation.stretches(0, np.where(table.inside(used), 1, 0))
     return out
 
 
-def meet(a: Stretch, b: Stretch) -> bool:
-    """Return True if two stretches share some time."""
+def overlap(a: Stretch, b: Stretch) -> bool:
+    """Return True if two stretches overlap in time.
+
+    Args:
+        a: One stretch.
+        b: The other stretch.
+    """
     return a.recording == b.recording and a.start < b.end and b.start < a.end
 
 
-def _odd_ones(out: Found, table: Table) -> None:
-    """Name recordings that do not show a constraint of most, and those with an interrupted contact, as by a slip."""
+def _report_outliers(out: Answers, table: Table) -> None:
+    """Report recordings without a constraint that most show, and those with an interrupted contact, as by a slip."""
     stretches = [s for a in out.answers for s in a.stretches]
     missing = set(range(len(table.moved))) - {s.recording for s in stretches}
     for a in out.answers:
         numbers, view, motion = Counter(s.recording for s in a.stretches), a.view, a.fit.motion
         if len(numbers) >= max(2.0, 0.5 * len(table.moved)):
             for i in missing - set(out.odd):
-                out.odd[i] = differs(a.fit, [table.wholes[i]], set(numbers))
-        held = np.median([np.ptp(motion.y[p] @ a.rows.T, axis=0).max() for p in motion.parts])
+                out.odd[i] = describe_difference(a.fit, [table.wholes[i]], set(numbers))
+        usual = np.median([np.ptp(motion.y[p] @ a.rows.T, axis=0).max() for p in motion.parts])
         for x, y in pairwise(sorted(a.stretches)):
             gap = Stretch(x.recording, x.end, y.start)
             often = numbers[x.recording] > np.median([*numbers.values()])
             short = x.recording == y.recording and often and gap.end - gap.start <= 1.5
-            if not short or any(meet(s, gap) for s in stretches):
+            if not short or any(overlap(s, gap) for s in stretches):
                 continue
             way = view.way(table.inside([gap]), a.rows)
-            if len(way) and np.ptp(way, axis=0).max() > 5.0 * held:
+            if len(way) and np.ptp(way, axis=0).max() > 5.0 * usual:
                 when = f"its contact is interrupted from {x.end:.2f} s to {y.start:.2f} s, as by a slip: "
-                out.odd.setdefault(x.recording, when + differs(a.fit, [gap], set(numbers)))
+                out.odd.setdefault(x.recording, when + describe_difference(a.fit, [gap], set(numbers)))
 
 
-def differs(fit: RowFit, spans: Sequence[Stretch], others: set[int]) -> str:
-    """Return the motion of a recording along rows that others constrain, in words.
+def describe_difference(fit: RowFit, spans: Sequence[Stretch], others: set[int]) -> str:
+    """Describe the motion of a recording along rows that others constrain.
 
     Args:
         fit: Fit of the others.
         spans: Stretches of the recording.
         others: Numbers of the others.
+
+    Returns:
+        Sentence with the motion [mm or mrad], its direction and the time at which it is fastest.
     """
     view, table = fit.view, fit.view.table
     rows, back = view.selection(fit.rows), np.linalg.pinv(view.W)
@@ -401,31 +435,34 @@ def differs(fit: RowFit, spans: Sequence[Stretch], others: set[int]) -> str:
     way = view.way(inside, rows @ back)
     worst = np.linalg.svd(way - way.mean(axis=0), full_matrices=False)[2][0]
     still, way = fit.motion.y @ (rows @ back).T @ worst, way @ worst
-    held = [np.ptp(still[p]) for p, j in zip(fit.motion.parts, fit.motion.recs, strict=True) if j in others]
+    extents = [np.ptp(still[p]) for p, j in zip(fit.motion.parts, fit.motion.recs, strict=True) if j in others]
     row, unit = worst @ rows, "mm (or mrad)" if view.turns else "mm"
     words = sum_in_words(row * np.sign(row[np.argmax(np.abs(row))]), view.features.row_names, "+.2f", 0.05)
     moves = f"{table.moved[spans[0].recording].name} moves {1e3 * np.ptp(way):.3g} {unit} along a direction ({words})"
     fastest = table.time[inside][np.argmax(np.abs(np.diff(way, prepend=way[0])) / table.weight[inside])]
-    still = f"that {len(others)} others hold still (median {1e3 * np.median(held):.2g})"
+    still = f"that {len(others)} others hold still (median {1e3 * np.median(extents):.2g})"
     return f"{moves} {still}, fastest at {fastest:.2f} s"
 
 
 def best_fit(
     candidates: Sequence[View], view: View, rows: np.ndarray, spans: Sequence[Stretch], settings: Settings
 ) -> RowFit:
-    """Return the fit by displacements, in the plainest features that explain these stretches as well as any.
+    """Fit rows to displacements, in the simplest features that explain these stretches as well as any.
 
     Args:
         candidates: Views to compare.
         view: View of the rows.
-        rows: shape (s, r), whitened, where the fit begins.
+        rows: Array (s, r), whitened, where the fit begins.
         spans: Stretches in which they are constrained.
         settings: Settings of the fit.
+
+    Returns:
+        Best fit, in one of the views.
     """
     s = settings.n_constraints or len(rows)
 
     def fitted(v: View) -> RowFit:
-        start = rows if v is view and s == len(rows) else orthonormal_rows(levels_on(v, spans).directions[:s])
+        start = rows if v is view and s == len(rows) else orthonormal_rows(view_levels(v, spans).directions[:s])
         return RowFit(Motion.of(v, spans, settings), start).best()
 
     fits = [fitted(v) for v in candidates if v is view or (v.largest >= s and not v.curved)]
@@ -433,17 +470,17 @@ def best_fit(
     for fit in fits[1:]:
         best = fit if fit.nats(best) > LEAST_GAIN else best
     curved = [v for v in candidates if v.curved and v is not view] if s == 1 else []
-    gain, left = misfit(best) if curved else (0.0, 0.0)
-    if gain > LEAST_GAIN and left > LEAST_MOTION:
-        fit = fitted(curved[0])  # what has another shape, beyond what the arm's own errors explain
-        if fit.nats(best) > LEAST_GAIN and levels_on(curved[0], spans).gaps.get(s, 0.0) >= WEAK_GAP:
+    gain, rms = misfit(best) if curved else (0.0, 0.0)
+    if gain > LEAST_GAIN and rms > LEAST_MOTION:
+        fit = fitted(curved[0])  # errors of the arm do not explain the residual: the shape is another one
+        if fit.nats(best) > LEAST_GAIN and view_levels(curved[0], spans).gaps.get(s, 0.0) >= WEAK_GAP:
             return fit
     near = [f for f in fits if best.nats(f) < LEAST_GAIN]
     return next((f for f in near if kind_of(f)), near[0])
 
 
-def answered(part: _Part, gate: Gate, whole: Sequence[View], settings: Settings) -> Answer | NotIdentifiableError:
-    """Return the constraint of stretches, with its evidence and its doubts; or a refusal.
+def evaluate(part: _Part, gate: Gate, whole: Sequence[View], settings: Settings) -> Answer | NotIdentifiableError:
+    """Return the constraint of stretches, with its evidence and warnings; or a refusal.
 
     Args:
         part: Rows, fitted by displacements, and the stretches in which they are constrained.
@@ -455,11 +492,11 @@ def answered(part: _Part, gate: Gate, whole: Sequence[View], settings: Settings)
     view, table, evidence = fit.view, fit.view.table, gate.evidence(fit.view, spans)
     if evidence.verdict(len(fit.rows)) != "clear" and is_firm(view, fit.rows, share, spans):
         evidence = replace(evidence, firm=len(fit.rows))
-    known, firm = placed(fit, None) if settings.mechanism else None, None
-    told = known is not None and known.kind.type == "ball" and (known.mechanism.radius or 0.0) > ON_THE_AXIS
-    if whole and fit.motion.J is not None and not told:
-        firm = whole_fit(whole, fit, [s for s in spans if s.recording in fit.motion.recs], settings, gate)
-    sizes, _, gaps = levels_on(view, spans)
+    first, firm = locate(fit, None) if settings.mechanism else None, None
+    is_ball = first is not None and first.kind.type == "ball" and (first.mechanism.radius or 0.0) > ON_THE_AXIS
+    if whole and fit.motion.J is not None and not is_ball:
+        firm = fit_whole(whole, fit, [s for s in spans if s.recording in fit.motion.recs], settings, gate)
+    sizes, _, gaps = view_levels(view, spans)
     a = Answer(view, spans, fit.rows, sizes, gaps, evidence=evidence, fit=fit, firm=firm)
     inside = table.inside(spans, learnt_from=True)
     broken, energy = np.sum(broken_energy(view.all, fit.rows[None])[inside]), np.sum(table.u[inside] ** 2)
@@ -467,105 +504,111 @@ def answered(part: _Part, gate: Gate, whole: Sequence[View], settings: Settings)
     e = np.concatenate([np.diff(table.moved[s.recording].q, 3, axis=0) for s in spans])
     noise = np.sqrt(np.median(e**2) / 0.455 / 20.0) if len(e) else 0.0  # of positions, by their third differences
     a.over_noise = float(np.sqrt(fit.variance) / (noise + 1e-6))
-    if refusal := _refused(a, settings):
+    if refusal := _refusal(a, settings):
         return refusal
     a.misfit = misfit(fit)
     last = firm or fit
-    a.errors = errors_of(last, settings.arm, np.random.default_rng(settings.seed))
+    a.errors = draw_errors(last, settings.arm, np.random.default_rng(settings.seed))
     if a.errors is not None:
-        both = (np.quantile(angles(last.rows, last.view.W, B), STATED) for B in (a.errors.noise, a.errors.arm))
+        both = (np.quantile(angles(last.rows, last.view.W, B), LEVEL) for B in (a.errors.noise, a.errors.arm))
         noise, arm = (x if x > 1e-9 else 0.0 for x in np.degrees([*both]).tolist())
         a.uncertainty, a.uncertainty_deg = {"noise": noise, "joint zeros": arm}, float(np.linalg.norm([noise, arm]))
-        a.mu_uncertainty = mu_within(last.view, last, a.errors, inside)
+        a.mu_uncertainty = mu_error(last.view, last, a.errors, inside)
     if settings.mechanism:
-        a.placed = placed(last, a.errors)
+        a.placed = locate(last, a.errors)
         if firm is None and a.misfit[0] > LEAST_GAIN:
-            a.shape = reshaped(fit, a.placed, a.uncertainty.get("joint zeros") or 0.0)
-            a.placed = a.placed if a.shape is None else a.shape if isinstance(a.shape, Placed) else None
-    a.warnings += _doubts(a, settings)
+            a.shape = fit_shape(fit, a.placed, a.uncertainty.get("joint zeros") or 0.0)
+            a.placed = a.placed if a.shape is None else a.shape if isinstance(a.shape, Placement) else None
+    a.warnings += _warnings(a, settings)
     return a
 
 
-def _refused(a: Answer, settings: Settings) -> NotIdentifiableError | None:
+def _refusal(a: Answer, settings: Settings) -> NotIdentifiableError | None:
     """Return the refusal of rows, or None."""
-    nv, rows, why, code, advised = a.view.table.u.shape[1], counted(a.s, "row"), "", "no-evidence", ()
+    nv, rows, why, code, remedies = a.view.table.u.shape[1], counted(a.s, "row"), "", "no-evidence", ()
     if a.s >= nv:
         return NotIdentifiableError(f"{a.s} constraints leave no null space for {nv} joints", code="no-freedom")
     if settings.n_constraints is not None or a.firm is not None:
         return None
-    told = a.evidence.n_pieces < FEWEST or a.evidence.verdict(a.s) == "clear"
-    soft = a.gap < CLEAR_GAP and not at_one_place(a.fit)
+    is_supported = a.evidence.n_pieces < FEWEST or a.evidence.verdict(a.s) == "clear"
+    soft = a.gap < CLEAR_GAP and not is_at_one_place(a.fit)
     if a.gap < WEAK_GAP:
-        why, code = f"no constraint is shown: the gap is {a.gap:.2g} for {rows}, {WEAK_GAP:g} is the least", "weak-gap"
-    elif a.over_noise > OVER_NOISE and (soft or (not told and a.gap < 2.0 * CLEAR_GAP)):
-        why = f"{rows} would be soft (gap {a.gap:.2g}), and elsewhere in each recording, as in free motion"
+        why, code = f"no clear constraint: the gap is {a.gap:.2g} for {rows}, {WEAK_GAP:g} is needed", "weak-gap"
+    elif a.over_noise > OVER_NOISE and (soft or (not is_supported and a.gap < 2.0 * CLEAR_GAP)):
+        why = f"{rows} would be soft (gap {a.gap:.2g}), at a different place in each recording, as in free motion"
     elif a.contradiction:
         why = f"{rows} would explain the recordings, but {a.contradiction}"
-        advised = ("vary the way and the posture between recordings" + number_if_known(a.s),)
-    return NotIdentifiableError(why, code=code, gaps=a.gaps, advice=advised) if why else None
+        remedies = ("vary the path and the posture between recordings" + number_if_known(a.s),)
+    return NotIdentifiableError(why, code=code, gaps=a.gaps, advice=remedies) if why else None
 
 
-def _doubts(a: Answer, settings: Settings) -> list[str]:
-    """Return doubts about an answer, in sentences."""
-    out, rows, fit, evidence, given = list[str](), counted(a.s, "row"), a.fit, a.evidence, settings.n_constraints
+def _warnings(a: Answer, settings: Settings) -> list[str]:
+    """Return warnings about an answer, in sentences."""
+    few_joints = 1.6  # effective number of joints of a hand-guided arm with friction
+    out, rows, fit, evidence, requested = list[str](), counted(a.s, "row"), a.fit, a.evidence, settings.n_constraints
     best = max(a.gaps, key=lambda s: a.gaps[s])
-    if a.firm is None and given is not None and best != a.s and a.gaps[best] >= WEAK_GAP:
+    if a.firm is None and requested is not None and best != a.s and a.gaps[best] >= WEAK_GAP:
         out.append(f"{rows} learnt, but the gap supports {best}: {a.gaps[best]:.3g} against {a.gap:.3g}")
-    if a.firm is None and given is None and best > a.s and a.gaps[best] >= WEAK_GAP * a.gap:
+    if a.firm is None and requested is None and best > a.s and a.gaps[best] >= WEAK_GAP * a.gap:
         more = counted(best - a.s, "further row")
-        out.append(f"{more} kept softly (gap {a.gaps[best]:.3g}): by the way of moving, or by something that gives way")
+        out.append(f"{more} constrained softly (gap {a.gaps[best]:.3g}): a habit, or a compliant contact")
     if a.unexplained > SLIGHT:
         share = f"{100 * a.unexplained:.2g} % of the motion's energy"
-        out.append(f"{share} breaks the constraint: it is soft, or the demonstrator moves the rows on purpose")
+        out.append(f"{share} violates the constraint: it is soft, or the demonstrator drives the rows")
     if len(evidence.strengths) and evidence.n_rows < a.s:
-        asked = "asked for" if given else "explain the recordings"
-        out.append(f"{rows} {asked}, the recombination test supports {evidence.n_rows}: {evidence.sentence()}")
+        source = "asked for" if requested else "explain the recordings"
+        out.append(f"{rows} {source}, the recombination test supports {evidence.n_rows}: {evidence.sentence()}")
     elif evidence.verdict(a.s) != "clear":
         out.append(f"weak evidence: {evidence.sentence()}")
     table = a.view.table
-    each = [joints_at_once(table.u[table.samples(s)], table.noises[s.recording])[0] for s in a.stretches]
+    each = [simultaneous_joints(table.u[table.samples(s)], table.noises[s.recording])[0] for s in a.stretches]
     together = np.median(each)
-    if together < FEW_JOINTS_AT_ONCE and table.u.shape[1] > 3:
+    if together < few_joints and table.u.shape[1] > 3:
         out.append(f"move all joints together: where {together:.1f} move at a time, friction looks like a constraint")
     if a.errors is not None and a.errors.beyond and settings.arm.zeros:
-        off, ratio = f"zeros {np.degrees(a.errors.beyond):.2g} degrees off", a.errors.beyond / settings.arm.zeros
-        off += f", or links {1e3 * ratio * settings.arm.links:.2g} mm, would explain what is left: {ratio:.0f} times"
-        out.append(f"is this the robot that was recorded? Joints' {off} what joint_offset_std and link_error_std say")
-    gain, left = a.misfit
-    leaves = f"the hand leaves what fits best by {1e3 * left:.2g} mm (or mrad)"
+        off, ratio = f"offsets of {np.degrees(a.errors.beyond):.2g} degrees", a.errors.beyond / settings.arm.zeros
+        off += f", or link errors of {1e3 * ratio * settings.arm.links:.2g} mm, explain the residual: {ratio:.0f} times"
+        out.append(f"is this the robot that was recorded? Only joint {off} joint_offset_std and link_error_std")
+    gain, rms = a.misfit
+    leaves = f"the hand deviates from the best fit by {1e3 * rms:.2g} mm (or mrad)"
     if a.shape is not None:
         return out
-    if left > LEAST_MOTION and gain > LEAST_GAIN:
-        out.append(f"{leaves} in the same way in all recordings: the true shape is another one")
-    elif left > LEAST_MOTION and fit.alike > 2.0 and a.over_noise > OVER_NOISE:
-        out.append(f"{leaves}, {a.over_noise:.0f} times the encoders' noise: it gives way, or has another shape")
+    if rms > LEAST_MOTION and gain > LEAST_GAIN:
+        out.append(f"{leaves} in the same way in all recordings: the true shape is different")
+    elif rms > LEAST_MOTION and fit.inflation > 2.0 and a.over_noise > OVER_NOISE:
+        out.append(f"{leaves}, {a.over_noise:.0f} times the encoder noise: it is compliant, or has another shape")
     if a.placed is not None and a.placed.kind.type == "line":
-        far = float(np.linalg.norm(np.ptp(fit.motion.poses[:, :3, 3], axis=0)))
+        span = float(np.linalg.norm(np.ptp(fit.motion.poses[:, :3, 3], axis=0)))
         # three standard deviations of the curvature of a parabola through evenly spaced samples
-        bend = np.sqrt(fit.dof / fit.alike) * far**2 / (3.0 * np.sqrt(720.0) * max(left, 1e-12))
-        if bend < FARTHEST:
-            out.append(f"move it farther than {1e3 * far:.2g} mm: a hinge would fit as well, {bend:.2g} m away or more")
+        bend = np.sqrt(fit.dof / fit.inflation) * span**2 / (3.0 * np.sqrt(720.0) * max(rms, 1e-12))
+        if bend < MAX_RANGE:
+            out.append(f"move it further than {1e3 * span:.2g} mm: a hinge at {bend:.2g} m or more would fit as well")
     if a.view.curved and kind_of(fit) is None:
-        out.append("what holds the hand is a curved surface of no simple kind: its rows are right only where shown")
+        out.append("the mechanism is a curved surface of no simple kind: its rows are valid only where demonstrated")
     return out
 
 
-def completed(a: Answer, settings: Settings) -> Answer:
-    """Return the answer with all rows of the hand, its grip, and the rows in the requested axes."""
-    table, known, fit = a.view.table, a.placed, a.firm or a.fit
+def complete_answer(a: Answer, settings: Settings) -> Answer:
+    """Return the answer with all rows of the hand, its grip, and the rows in the requested axes.
+
+    Args:
+        a: Answer from `evaluate`; it is changed.
+        settings: Settings of the fit.
+    """
+    table, place, fit = a.view.table, a.placed, a.firm or a.fit
     view = fit.view
     if a.firm is not None:
         sizes, _, gaps = fit.motion.levels
         a.whole = Rows(view.features, view.selection(fit.rows), sizes, gaps)
-    if known is not None:
-        a.warnings += [known.doubt] if known.doubt else []
-        kind, rms, apart = held_kind(known, fit.motion)
-        kept = rms < min(KEPT, apart / WEAK_GAP)
-        grip: Grip = "firm" if kind.orientation != "free" else "kept" if kept else "loose"
-        held = replace(known.mechanism, grip=grip, orientation_rms=rms)
-        a.mechanism = replace(held, orientation=kind.orientation, name=kind.name)
-        a.placed = replace(known, kind=kind, mechanism=a.mechanism)
-        # constant rows that were asked for say all of a knob
+    if place is not None:
+        a.warnings += [place.doubt] if place.doubt else []
+        kind, rms, apart = grip_kind(place, fit.motion)
+        is_kept = rms < min(LOOSE, apart / WEAK_GAP)
+        grip: Grip = "firm" if kind.orientation != "free" else "kept" if is_kept else "loose"
+        gripped = replace(place.mechanism, grip=grip, orientation_rms=rms)
+        a.mechanism = replace(gripped, orientation=kind.orientation, name=kind.name)
+        a.placed = replace(place, kind=kind, mechanism=a.mechanism)
+        # requested constant rows describe a knob completely
         is_knob = kind.kind == "hinge" and any(str(f) == str(view.features) for f in settings.asked)
         if not is_knob and (isinstance(view.features, PlaceRows) or a.firm or a.shape or grip == "firm"):
             features, selection = a.placed.rows(view)
@@ -575,25 +618,29 @@ def completed(a: Answer, settings: Settings) -> Answer:
         a.whole, a.mechanism = a.whole._replace(features=a.shape, selection=np.eye(2)), a.shape.mechanism(np.eye(2), {})
     if a.placed is not None and a.placed.off_deg is not None and len(a.whole.selection) == a.whole.features.n_rows:
         a.uncertainty_deg = a.placed.off_deg
-    features, selection = asked_rows(*a.whole[:2], a.placed, settings.asked, table.q)
+    features, selection = select_rows(*a.whole[:2], a.placed, settings.asked, table.q)
     if features is a.whole.features and selection is a.whole.selection:
         a.asked = a.whole
     elif len(selection) == len(a.whole.selection) and features.n_rows >= a.whole.features.n_rows:
         a.asked = a.whole._replace(features=features, selection=selection)
     else:
         v = View(features, table)
-        sizes, _, gaps = Motion.of(v, a.stretches, settings).levels if a.firm else levels_on(v, a.stretches)
+        sizes, _, gaps = Motion.of(v, a.stretches, settings).levels if a.firm else view_levels(v, a.stretches)
         a.asked = Rows(features, selection, sizes, gaps)
     if (gap := a.asked.gaps.get(len(selection), 0.0)) < CLEAR_GAP:
-        said = f"weak gap: {gap:.2g} for {counted(len(selection), 'row')}, {CLEAR_GAP:g} is clear"
-        a.warnings.append(f"{said}; the constraint may be soft, or the recordings noisy")
+        text = f"weak gap: {gap:.2g} for {counted(len(selection), 'row')}, {CLEAR_GAP:g} is clear"
+        a.warnings.append(f"{text}; the constraint may be soft, or the recordings noisy")
     return a
 
 
-def at_one_place(fit: RowFit) -> bool:
+def is_at_one_place(fit: RowFit) -> bool:
     """Return True if the rows are at one place in all recordings, within the scatter of each.
 
-    Rows other than constant rows of the position are not judged.
+    Args:
+        fit: Fit of the rows.
+
+    Returns:
+        True also for rows other than constant rows of the position, which are not tested.
     """
     f, motion = fit.view.features, fit.motion
     if not isinstance(f, PoseRows) or f.own_axes or not f.only_linear:
@@ -604,10 +651,19 @@ def at_one_place(fit: RowFit) -> bool:
     return float(np.sqrt(np.mean((centres - np.median(centres, axis=0)) ** 2))) <= OVER_NOISE * within
 
 
-def mu_within(view: View, fit: Any, errors: Errors, inside: np.ndarray) -> float:
-    """Return |d log mu| that is not exceeded in 68 % of draws and postures in a mask of samples.
+def mu_error(view: View, fit: Any, errors: Errors, inside: np.ndarray) -> float:
+    """Return the error |d log mu| that is not exceeded in 68 % of draws and postures.
 
-    d log mu = tr(A^+ dA) - tr(Lambda^+ dLambda).
+    d log mu = tr(A^+ dA) - tr(Lambda^+ dLambda), at up to 95 postures.
+
+    Args:
+        view: View of the rows.
+        fit: Fit with whitened rows `rows` (s, r) and their complement `perp`.
+        errors: Draws of the error of the fit.
+        inside: Mask (n,) of the samples that count.
+
+    Returns:
+        Relative error of mu [1].
     """
     few = np.flatnonzero(inside)
     few = few[:: max(1, len(few) // 48)]
@@ -618,34 +674,34 @@ def mu_within(view: View, fit: Any, errors: Errors, inside: np.ndarray) -> float
     change = (errors.noise + errors.arm) @ by_rows.reshape(len(few), -1).T
     turned = view.features.batch_with_derivative(view.table.q[few])[1]
     by_zeros = np.einsum("nvp,npve->en", back @ Lambda, turned)
-    return float(np.quantile(np.abs(change + errors.delta[:, : len(by_zeros)] @ by_zeros), STATED))
+    return float(np.quantile(np.abs(change + errors.delta[:, : len(by_zeros)] @ by_zeros), LEVEL))
 
 
 # --------------------------------------------------------------------------------------- recordings without parts
 
 
-def _undivided(views: list[View], gate: Gate, settings: Settings) -> Found | NotIdentifiableError:
+def _answer_whole(views: list[View], gate: Gate, settings: Settings) -> Answers | NotIdentifiableError:
     """Return the answer of too few recordings, or of a given number of rows; else the refusal."""
     table = views[0].table
     best: Any = None
     for v in [v for v in views if isinstance(v.features, PoseRows) or v is views[0]]:
-        gaps = levels_on(v, table.wholes).gaps
+        gaps = view_levels(v, table.wholes).gaps
         s = settings.n_constraints or max(gaps, key=lambda k: gaps[k])
         if s <= v.r and (best is None or gaps.get(s, 0.0) > 1.1 * best[2].get(best[1], 0.0)):
             best = v, s, gaps
     if best is None:
-        asked = f"{counted(settings.n_constraints or 1, 'constraint')} asked for, but the arm moves"
-        return NotIdentifiableError(f"{asked} {max(v.r for v in views)} rows here: ask for fewer", code="no-freedom")
+        why = f"{counted(settings.n_constraints or 1, 'constraint')} asked for, but the arm moves"
+        return NotIdentifiableError(f"{why} {max(v.r for v in views)} rows here: ask for fewer", code="no-freedom")
     v, s, gaps = best
     gap = gaps.get(s, 0.0)
-    if settings.n_constraints is None and (len(once_each(table, table.wholes)) >= FEWEST or gap < WEAK_GAP):
-        unused = f"what the motion leaves unused ({counted(s, 'direction')}, gap {gap:.3g}) is held, not never tried"
-        why = f"nothing shows that {unused}: {gate.evidence(v, table.wholes, 1.0).sentence()}"
+    if settings.n_constraints is None and (len(drop_duplicates(table, table.wholes)) >= FEWEST or gap < WEAK_GAP):
+        unused = f"unused motion ({counted(s, 'direction')}, gap {gap:.3g}) is constrained, or was never exercised"
+        why = f"cannot tell if the {unused}: {gate.evidence(v, table.wholes, 1.0).sentence()}"
         return NotIdentifiableError(why, code="no-evidence" if gap >= WEAK_GAP else "weak-gap", gaps=gaps)
     settings = replace(settings, n_constraints=s)
     fit = best_fit([v], v, np.eye(s, v.r), table.wholes, settings)
-    a = answered(_Part(fit, 1.0, table.wholes), gate, (), settings)
+    a = evaluate(_Part(fit, 1.0, table.wholes), gate, (), settings)
     if isinstance(a, Answer) and len(table.moved) < FEWEST:
-        few = f"{len(table.moved)} cannot show that {counted(s, 'row')} held rather than never tried"
-        a.warnings.append(f"record 3, better 5, that differ: {few}")
-    return Found([a]) if isinstance(a, Answer) else a
+        few = f"{len(table.moved)} cannot show that {counted(s, 'row')} are constrained rather than never exercised"
+        a.warnings.append(f"record 3 different motions, or better 5: {few}")
+    return Answers([a]) if isinstance(a, Answer) else a

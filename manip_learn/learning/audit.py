@@ -1,4 +1,4 @@
-"""Audit of recordings by a learnt constraint: every recording measured, ranked, and named if it should be left out."""
+"""Audit of recordings by a learnt constraint: every recording is measured, ranked, and judged."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from scipy.special import stdtrit
 
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.errors import RecordingError, counted
-from manip_learn.learning.table import REST_SPEED, each_part
+from manip_learn.learning.table import REST_SPEED, map_parts
 from manip_learn.recordings.given import Given, parts_of, recordings_given
 from manip_learn.recordings.load import Progress, Reader
 from manip_learn.recordings.options import Velocities, refuse_unmatched
@@ -22,9 +22,9 @@ RULE = "left out where the robust z-score of a criterion, (value - median) / (1.
 class EpisodeAudit(NamedTuple):
     """Measures and verdict of one recording; a measure is NaN where it is not defined (no limits, too few samples).
 
-    A measure that recordings are judged by is annotated with the name of the criterion, the direction of bad values (0:
-    both), the value below which differences do not matter (set by hand; such measures are compared by their logarithms,
-    those with 0 as they are), and the reason.
+    A measure by which recordings are judged is annotated with the name of the criterion, the direction of bad values
+    (0: both), the value below which differences do not matter (set by hand; such measures are compared by their
+    logarithms, measures with 0 as they are), and the reason.
 
     Attributes:
         episode: Name of the trajectory.
@@ -76,8 +76,8 @@ class EpisodeAudit(NamedTuple):
     reasons: tuple[str, ...] = ()
 
 
-_HINTS = get_type_hints(EpisodeAudit, include_extras=True)
-CRITERIA = [(measure, *hint.__metadata__) for measure, hint in _HINTS.items() if get_origin(hint) is Annotated]
+HINTS = get_type_hints(EpisodeAudit, include_extras=True)
+CRITERIA = [(measure, *hint.__metadata__) for measure, hint in HINTS.items() if get_origin(hint) is Annotated]
 
 
 class AuditReport(NamedTuple):
@@ -121,32 +121,33 @@ def audit_episodes(
     """Measure, rank and judge recordings by a constraint; one of them is in memory at a time.
 
     Args:
-        constraint: Learnt, or written by hand. If it was learnt as self-imposed (rows moved on purpose), motion along
-            its rows is no violation and does not count.
+        constraint: Learnt or written by hand. If it was learnt as self-imposed (the demonstrator drives the rows),
+            motion along its rows is no violation and does not count.
         demonstrations: Recordings, as for `ConstraintLearner.fit`.
-        velocities: Use of recorded velocities, as of `ConstraintLearner`.
-        false_alarms: Chance that any of equally good recordings is left out; a larger one leaves out more.
-        client: A `dask.distributed.Client` whose workers measure the recordings.
-        progress: Called with the name of a step and the share of it that is done.
+        velocities: Use of recorded velocities, as in `ConstraintLearner`.
+        false_alarms: Probability that any of equally good recordings is left out; a larger one leaves out more.
+        client: A `dask.distributed.Client` whose workers measure the recordings; None to measure in this process.
+        progress: Function of the name of a stage and its completed share; None for none.
 
     Returns:
         Measures and verdicts, the worst recording first.
 
     Raises:
-        RecordingError: No demonstrations, another robot's joints, velocities that cannot be derived, or no chance.
-        ManipLearnError: Workers of the client die again and again, or their scheduler does.
+        RecordingError: No demonstrations, another robot's joints, velocities that cannot be derived, or a probability
+            that is not between 0 and 1.
+        ManipLearnError: The workers of the client died.
     """
     if not 0.0 < false_alarms < 1.0:
-        raise RecordingError(f"false_alarms must be a chance between 0 and 1, got {false_alarms!r}", code="option")
+        raise RecordingError(f"false_alarms must be a probability between 0 and 1, got {false_alarms!r}", code="option")
     parts = parts_of(recordings_given(demonstrations, constraint.robot, constraint.nv, velocities))
-    results = list(each_part(lambda part: _measure_part(constraint, velocities, part), parts, client, progress))
+    results = list(map_parts(lambda part: _measure_part(constraint, velocities, part), parts, client, progress))
     notes = refuse_unmatched([note for _, remarks in results for note in remarks], len(parts))
     rows = [row for part, _ in results for row in part]
     if not rows:
         raise RecordingError("there are no demonstrations: give at least one trajectory", code="empty")
     criteria = [c for c in CRITERIA if np.any(np.isfinite([getattr(e, c[0]) for e in rows]))]
     if constraint.provenance.get("kind") == "self-imposed":
-        notes.append("the constrained rows were moved on purpose: motion along them is no violation and does not count")
+        notes.append("the demonstrator drives the constrained rows: motion along them does not count as a violation")
         criteria = [c for c in criteria if c[1] not in ("violation", "displacement", "rotation")]
     measures, names, signs, negligible, templates = zip(*criteria, strict=True)
     values, ratios = np.array([[getattr(e, m) for m in measures] for e in rows]), np.array(negligible) > 0.0
@@ -155,12 +156,12 @@ def audit_episodes(
     # differences of 10 %, or of 5 points of a share, do not matter. Set by hand
     spread = np.maximum(1.4826 * np.nanmedian(np.abs(values), axis=0), np.where(ratios, 0.1, 0.05))
     z = np.nan_to_num(np.where(signs, np.multiply(signs, values), np.abs(values)) / spread)
-    # All scores share the chance evenly (Bonferroni). A z-score by the median absolute deviation has the tails of
+    # All scores share the probability evenly (Bonferroni). A z-score by the median absolute deviation has the tails of
     # Student's t with 0.37 n degrees of freedom, its efficiency, and 0.25 by simulation of small n. The smallest
-    # threshold is that of Iglewicz and Hoaglin, How to Detect and Handle Outliers (1993). Fewer than 5 have no spread.
+    # threshold is from Iglewicz and Hoaglin, How to Detect and Handle Outliers (1993). Fewer than 5 have no spread.
     threshold = max(3.5, -float(stdtrit(0.37 * len(z) + 0.25, false_alarms / z.size))) if len(z) >= 5 else np.inf
     if len(rows) < 5:
-        notes.append(f"too few to say which are odd: {counted(len(rows), 'episode')}, at least 5 are needed")
+        notes.append(f"too few to judge: {counted(len(rows), 'episode')}, at least 5 are needed")
     for i, (e, scores) in enumerate(zip(rows, z, strict=True)):
         odd = [t.format(e=e) + f", robust z {s:.1f}" for t, s in zip(templates, scores, strict=True) if s > threshold]
         reasons, score = tuple(r.replace("%", " %") for r in odd), float(np.linalg.norm(np.maximum(scores, 0.0)))
@@ -178,7 +179,7 @@ def _measure_part(constraint: Constraint, velocities: Velocities, part: Reader) 
 def _measure(constraint: Constraint, velocities: Velocities, recorded: Trajectory) -> EpisodeAudit:
     """Return the measures of one recording; its number and verdict depend on the others."""
     t, robot = with_velocities(Demonstrations([recorded]), constraint.robot, velocities)[0], constraint.robot
-    u, weights = np.asarray(t.u), np.gradient(t.time) if len(t) > 1 else np.ones(1)  # [s] that each sample stands for
+    u, weights = np.asarray(t.u), np.gradient(t.time) if len(t) > 1 else np.ones(1)  # [s] duration of each sample
     selection, features, limits = constraint.selection, constraint.features, []
     A = np.concatenate([selection @ features.batch(q) for q in np.array_split(t.q, 1 + len(t) // 4096)])  # fits memory
     _, sigma, Vt = np.linalg.svd(A, full_matrices=False)

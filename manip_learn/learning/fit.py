@@ -27,26 +27,22 @@ from manip_learn.constraint.features.feature_map import FeatureMap
 from manip_learn.constraint.features.frame_jacobian import PoseRows
 from manip_learn.constraint.features.mechanism_rows import WeighedVelocity
 from manip_learn.learning.search import least_used
-from manip_learn.learning.table import LEAST_GAIN, LEAST_MOTION, ArmErrors, Settings, Stretch, View, steps_along
+from manip_learn.learning.table import LEAST_GAIN, LEAST_MOTION, ArmErrors, Settings, Stretch, View, tangents
 from manip_learn.linalg import null_basis, orthonormal_rows, row_space_angles
 from manip_learn.recordings.trajectory import evenly
 
-MOST, LEAST = 4000, 60  # samples of all stretches, and of each
-LEAST_RAD = 4e-5  # less is no difference: rails, tables and encoders are no better
-FLOOR = 0.05  # share of the mean variance that every sample has besides
-DRAWS = 1000  # of an error: a quantile of 68 % to 3 %
-STATED = 0.68  # share of cases within what is stated
-TAU = np.append(0.0, np.geomspace(1e-6, 3e-2, 60))  # [rad] zeros to be thought of beyond what is thought beforehand
-NONE_TO_SOME = 20.0  # odds of no such zeros
+ACCURACY = 4e-5  # [rad] accuracy of rails, tables and encoders: smaller residuals are equal
+LEVEL = 0.68  # confidence level of all uncertainties
+TAU = np.append(0.0, np.geomspace(1e-6, 3e-2, 60))  # [rad] candidate joint offsets beyond their prior
 
 
 class Levels(NamedTuple):
-    """How much motion uses each direction.
+    """Motion along each direction.
 
     Attributes:
-        sizes: shape (r,), smallest first, over that of a motion that is equally strong in all joints [1].
-        directions: shape (r, r), as whitened rows.
-        gaps: Number of rows that leaves a joint -> ratio of the next size to its largest one.
+        sizes: Array (r,), smallest first, relative to a motion that is equally strong in all joints [1].
+        directions: Array (r, r) of whitened rows.
+        gaps: Number of rows that leaves a joint free -> ratio of the next size to the largest size of the rows.
     """
 
     sizes: np.ndarray
@@ -54,13 +50,13 @@ class Levels(NamedTuple):
     gaps: dict[int, float]
 
 
-def levels_of(M: np.ndarray, S: np.ndarray, x: np.ndarray) -> Levels:
-    """Return how much motion uses each direction.
+def levels_from_moments(M: np.ndarray, S: np.ndarray, x: np.ndarray) -> Levels:
+    """Return the size of the motion along each direction.
 
     Args:
-        M: shape (r, r), sum of r r^T of the rates, or displacements, r = Phi x.
-        S: shape (r, r), sum of Phi Phi^T.
-        x: shape (n, nv), motion of the joints.
+        M: Matrix (r, r), sum of r r^T of the rates, or displacements, r = Phi x.
+        S: Matrix (r, r), sum of Phi Phi^T.
+        x: Array (n, nv), motion of the joints.
     """
     (sizes,), (directions,) = least_used(M[None], S[None], np.zeros(1))
     sizes = sizes * np.sqrt(x.size / max(float(np.sum(x**2)), 1e-300))
@@ -69,11 +65,16 @@ def levels_of(M: np.ndarray, S: np.ndarray, x: np.ndarray) -> Levels:
     return Levels(sizes, directions, {s: float(padded[s] / padded[s - 1]) for s in rows})
 
 
-def levels_on(view: View, stretches: Sequence[Stretch]) -> Levels:
-    """Return how much the velocities in some stretches use each direction of a view."""
+def view_levels(view: View, stretches: Sequence[Stretch]) -> Levels:
+    """Return the size of the velocities along each direction of a view.
+
+    Args:
+        view: View, whose rows are whitened.
+        stretches: Parts of recordings whose samples count.
+    """
     inside = view.table.inside(stretches, learnt_from=True)
     rates = view.all.rates[inside]
-    return levels_of(rates.T @ rates, view.all.gram[inside].sum(axis=0), view.table.u[inside])
+    return levels_from_moments(rates.T @ rates, view.all.gram[inside].sum(axis=0), view.table.u[inside])
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,12 +84,12 @@ class Motion:
     Attributes:
         view: View, whose rows are whitened.
         arm: Prior of the errors of the arm.
-        x: shape (n, nv), recorded positions [rad or m].
-        y: shape (n, r), displacements along the rows.
-        Phi: shape (n, r, nv), features.
-        poses, J: shape (n, 4, 4) and (n, 6, nv), pose of the hand and all six rows of its frame; None without a frame.
-        way: shape (n, nv), recorded velocities times a duration, as large as displacements; None if positions are
-            used. What is held is then zero in each sample, not constant in each stretch.
+        x: Array (n, nv) of recorded positions [rad or m].
+        y: Array (n, r) of displacements along the rows.
+        Phi: Array (n, r, nv) of features.
+        poses, J: Arrays (n, 4, 4) and (n, 6, nv), pose of the hand and all six rows of its frame; None without a frame.
+        way: Array (n, nv) of recorded velocities times a duration, as large as displacements; None if positions are
+            used. With velocities, held rows are zero in each sample; with positions, they are constant in each stretch.
         parts: Samples of each stretch.
         recs: Recording of each stretch.
     """
@@ -106,15 +107,23 @@ class Motion:
 
     @staticmethod
     def of(view: View, stretches: Sequence[Stretch], settings: Settings) -> Motion:
-        """Return samples of the stretches from which rows are learnt."""
-        table, hand, most = view.table, view.hand, max(LEAST, MOST // len(stretches))
-        own = [table.samples(s) for s in stretches]
-        chosen = [k[evenly(len(k), most)] for k in own]
-        ends, k, way = np.cumsum([0, *map(len, chosen)]), np.concatenate(chosen), None
+        """Return samples of the stretches from which rows are learnt.
+
+        Args:
+            view: View, whose rows are whitened.
+            stretches: Parts of recordings.
+            settings: Settings of the fit: the prior of the arm's errors, and the choice of velocities or positions.
+        """
+        # number of samples of all stretches together, and least number of each stretch
+        most_samples, least_samples = 4000, 60
+        table, hand, most = view.table, view.hand, max(least_samples, most_samples // len(stretches))
+        numbers = [table.samples(s) for s in stretches]
+        selected = [k[evenly(len(k), most)] for k in numbers]
+        ends, k, way = np.cumsum([0, *map(len, selected)]), np.concatenate(selected), None
         if settings.by_rates:  # the spread of a steady motion
-            spread = [np.ptp(table.time[i]) / np.sqrt(12.0) for i in own]
+            spread = [np.ptp(table.time[i]) / np.sqrt(12.0) for i in numbers]
             way = table.u[k] * np.repeat(spread, np.diff(ends))[:, None]
-        first = np.repeat([i[0] for i in own], np.diff(ends))
+        first = np.repeat([i[0] for i in numbers], np.diff(ends))
         y = view.y[k] - view.y[first] if way is None else np.einsum("nrv,nv->nr", view.Phi[k], way)
         poses, J = (None, None) if hand.of is None else (hand.poses[k], hand.J[k])
         parts, recs = [slice(*edges) for edges in pairwise(ends)], [s.recording for s in stretches]
@@ -126,30 +135,38 @@ class Motion:
         y, x = self.y, self.x if self.way is None else self.way
         if self.way is None:
             y, x = (np.concatenate([z[p] - z[p].mean(axis=0) for p in self.parts]) for z in (y, x))
-        return levels_of(y.T @ y, np.einsum("npv,nqv->pq", self.Phi, self.Phi), x)
+        return levels_from_moments(y.T @ y, np.einsum("npv,nqv->pq", self.Phi, self.Phi), x)
 
 
-def changes_by_links(
+def link_error_changes(
     features: FeatureMap, q: Float[np.ndarray, "n nv"], u: Float[np.ndarray, "n nv"]
 ) -> Float[np.ndarray, "n p e"]:
-    """Return the change of Phi(q) u by unit errors of e links, at n postures.
+    """Return the change of Phi(q) u by unit errors of e links.
 
-    A link that is not as described displaces all that comes after it, as a joint would that has a rigid motion there.
-    With the twist (v, w) that one such error makes of the frame, seen at its origin, the joints behind it turn with w,
-    and the origin moves with v away from those before it. So a motion with the twist V = V_before + V_behind becomes
+    An error of a link displaces everything behind it, as a joint with a rigid motion at that place would. With the
+    twist (v, w) of the frame caused by one such error, at its origin, the joints behind it turn with w, and the origin
+    moves by v relative to the joints before it. So a motion with the twist V = V_before + V_behind becomes
 
         dV = (w_before x v + w x v_behind,  w x w_behind)
 
-    as for the derivative by the position of a joint. The rates W V of rows then change by W dV + dW V. Where the first
-    joint stands is where the base stands, which no recording can show: it is left out. There are none (e = 0) if the
-    features are not of one frame in the base.
+    as for the derivative by the position of a joint. The rates W V of rows then change by W dV + dW V. The place of the
+    first joint is the place of the base, which no recording shows: it is left out. There are no such errors (e = 0) if
+    the features are not those of one frame in the base.
+
+    Args:
+        features: Feature map Phi.
+        q: Array (n, nv) of postures [rad or m].
+        u: Array (n, nv) of joint velocities, or displacements.
+
+    Returns:
+        Array (n, p, e).
     """
     none = np.zeros((len(q), features.n_rows, 0))
     if not isinstance(features, WeighedVelocity | PoseRows) or features.relative_to is not None:
         return none
     robot, frame, J, poses = features.robot, features.frame, features.twist.batch(q), features.twist.poses(q)
     behind = {j: number for number, j in enumerate(robot.pinocchio_model.supports[frame.parent_joint], -1)}
-    # the number of the chain's joint that each velocity moves, -1 if none: those from 1 on are behind the first link
+    # number of the joint in the chain that each velocity moves, -1 if none; numbers from 1 on are behind the first link
     place = np.full(robot.nv, -1)
     for block in robot.blocks:
         place[block.v] = behind.get(block.index, -1)
@@ -157,11 +174,11 @@ def changes_by_links(
     dW = features.place_weights.at(poses[:, :3, 3])[1] if isinstance(features, WeighedVelocity) else None
     twists = robot.frame_kinematics(frame).link_twists(q)
     for link, E in enumerate(() if twists is None else twists):
-        own = place > link
-        moved = np.einsum("nij,nj->ni", J[:, :, own], u[:, own])
+        behind_link = place > link
+        moved = np.einsum("nij,nj->ni", J[:, :, behind_link], u[:, behind_link])
         v, w = E[:, :3].transpose(0, 2, 1), E[:, 3:].transpose(0, 2, 1)
         before, later = (V - moved)[:, None, 3:], moved[:, None]
-        if isinstance(features, PoseRows) and features.own_axes:  # which turn with the frame
+        if isinstance(features, PoseRows) and features.own_axes:  # these rows turn with the frame
             later = later - V[:, None]
         dV = np.concatenate([np.cross(before, v) + np.cross(w, later[..., :3]), np.cross(w, later[..., 3:])], axis=2)
         out.append(np.einsum("npi,nei->npe", W, dV))
@@ -175,46 +192,65 @@ class RowFit:
 
     Attributes:
         motion, view: Samples, and their view.
-        rows, perp: shape (s, r) and (r - s, r), rows of Lambda and their orthonormal complement.
-        r: shape (n, s), weighted residual [rad].
+        rows, perp: Arrays (s, r) and (r - s, r), rows of Lambda and their orthonormal complement.
+        r: Array (n, s) of weighted residuals [rad].
         cost: Sum of squares of the residual.
         m: Number of parameters B of Lambda + B Lambda_perp.
         dof: Degrees of freedom of the residual.
-        variance: Variance of the residual, of at least `LEAST_RAD` squared [rad^2].
+        variance: Variance of the residual, of at least `ACCURACY` squared [rad^2].
     """
 
     def __init__(self, motion: Motion, rows: np.ndarray):
+        floor = 0.05  # share of the mean variance that is added to the variance of each sample
         self.motion, self.view, self.rows, self.perp = motion, motion.view, rows, null_basis(rows).T
         self.m, self._A = len(rows) * len(self.perp), rows @ motion.Phi
         S = self._A @ self._A.transpose(0, 2, 1)
-        S = S + FLOOR * np.mean(np.einsum("nii->ni", S), axis=0).max() * np.eye(len(rows))
+        S = S + floor * np.mean(np.einsum("nii->ni", S), axis=0).max() * np.eye(len(rows))
         self.root = np.linalg.inv(np.linalg.cholesky(S))
         J = np.einsum("nai,nj->naij", self.root, motion.y @ self.perp.T).reshape(*S.shape[:2], self.m)
         r = self.root @ (motion.y @ rows.T)[:, :, None]
-        self._JR = self.without_constants(np.concatenate([J, r], axis=2))
+        self._JR = self.centre(np.concatenate([J, r], axis=2))
         self.r = self._JR[:, :, -1]
         self.cost = float(np.sum(self.r**2))
         constants = len(rows) * len(motion.parts) if motion.way is None else 0
         self.dof = max(self.r.size - constants - self.m, 1)
-        self.variance = self.cost / self.dof + LEAST_RAD**2
+        self.variance = self.cost / self.dof + ACCURACY**2
 
-    def without_constants(self, columns: np.ndarray) -> np.ndarray:
-        """Return columns (n, s, c) less their best constants of each stretch."""
+    def centre(self, columns: np.ndarray) -> np.ndarray:
+        """Return columns less their best constants in each stretch; unchanged for velocities.
+
+        Args:
+            columns: Array (n, s, c).
+
+        Returns:
+            Array (n, s, c).
+        """
         out = columns.copy()
         for p in self.motion.parts if self.motion.way is None else ():
-            own = self.root[p]
-            out[p] -= own @ np.linalg.solve(np.einsum("nai,naj->ij", own, own), np.einsum("nai,nac->ic", own, out[p]))
+            W = self.root[p]
+            out[p] -= W @ np.linalg.solve(np.einsum("nai,naj->ij", W, W), np.einsum("nai,nac->ic", W, out[p]))
         return out
 
     def sums(self, X: np.ndarray) -> dict[int, np.ndarray]:
-        """Return X^T X of each recording, by its number."""
+        """Return X^T X of each recording, by its number.
+
+        Args:
+            X: Array (n, s, c) of columns.
+
+        Returns:
+            Number of a recording -> matrix (c, c).
+        """
         out = dict.fromkeys(self.motion.recs, np.zeros((X.shape[2], X.shape[2])))
         for p, i in zip(self.motion.parts, self.motion.recs, strict=True):
             out[i] = out[i] + np.tensordot(X[p], X[p], axes=([0, 1], [0, 1]))
         return out
 
-    def shortest_way_back(self) -> np.ndarray:
-        """Return the smallest change of each posture that cancels its residual, shape (n, nv) [rad or m]."""
+    def correction(self) -> np.ndarray:
+        """Return the smallest change of each posture that cancels its residual.
+
+        Returns:
+            Array (n, nv) [rad or m].
+        """
         off = np.linalg.solve(self.root, self.r[:, :, None])  # along the rows
         gram = self._A @ self._A.transpose(0, 2, 1)
         gram += 1e-9 * np.trace(gram, axis1=1, axis2=2).mean() * np.eye(gram.shape[1])
@@ -222,24 +258,24 @@ class RowFit:
 
     @cached_property
     def X(self) -> np.ndarray:
-        """Columns [J K r], shape (n, s, m + e + 1).
+        """Columns [J K r], an array (n, s, m + e + 1).
 
         K is the change of y by unit joint offsets and, in proportion, errors of links. It is evaluated at the nearest
-        postures on the mechanism: at the recorded ones it would contain the residual itself (errors in variables).
+        postures on the mechanism: at the recorded postures it would contain the residual itself (errors in variables).
         """
         motion, features, arm = self.motion, self.view.features, self.motion.arm
-        dq = self.shortest_way_back()
+        dq = self.correction()
         y, x, way = motion.y - np.einsum("nrv,nv->nr", motion.Phi, dq), motion.x - dq, motion.way
-        middle, step = (0.5 * (x[1:] + x[:-1]), steps_along(features.robot, x)) if way is None else (x, way)
+        middle, step = (0.5 * (x[1:] + x[:-1]), tangents(features.robot, x)) if way is None else (x, way)
         change = np.einsum("npvk,nv->npk", features.batch_with_derivative(middle)[1], step, optimize=True)
         if arm.links and arm.zeros > 0.0:
-            links = arm.links / arm.zeros * changes_by_links(features, middle, step)
+            links = arm.links / arm.zeros * link_error_changes(features, middle, step)
             change = np.concatenate([change, links], axis=2)
         if way is None:
             change = np.concatenate([np.zeros((1, *change.shape[1:])), np.cumsum(change, axis=0)])
         J = np.einsum("nai,nj->naij", self.root, y @ self.perp.T).reshape(*self.r.shape, self.m)
         K = self.root @ (self.rows @ (self.view.W @ change))
-        return np.concatenate([self.without_constants(np.concatenate([J, K], axis=2)), self._JR[:, :, -1:]], axis=2)
+        return np.concatenate([self.centre(np.concatenate([J, K], axis=2)), self._JR[:, :, -1:]], axis=2)
 
     @cached_property
     def G(self) -> dict[int, np.ndarray]:
@@ -247,7 +283,7 @@ class RowFit:
         return self.sums(self.X)
 
     def best(self) -> RowFit:
-        """Return the fit with the least cost, by Levenberg-Marquardt on the Grassmann manifold."""
+        """Return the fit with the smallest cost, by Levenberg-Marquardt steps on the Grassmann manifold."""
         here, damping = self, 0.0
         for _ in range(25 if self.m else 0):
             total = np.tensordot(here._JR, here._JR, axes=([0, 1], [0, 1]))
@@ -264,26 +300,40 @@ class RowFit:
         return here
 
     @cached_property
-    def alike(self) -> float:
+    def inflation(self) -> float:
         """Factor by which correlated neighbours increase a variance."""
         return autocorrelation(self.r, self.motion.parts)
 
     def nats(self, other: RowFit) -> float:
-        """Return the gain over another fit of as many rows, net of the price of parameters [nats]."""
-        n, floor = self.dof / self.alike, self.dof * LEAST_RAD**2
+        """Return the gain over another fit with as many rows, net of the price of parameters (Schwarz, 1978) [nats].
+
+        Args:
+            other: Fit to the same motion.
+        """
+        n, floor = self.dof / self.inflation, self.dof * ACCURACY**2
         gain = n * float(np.log((other.cost + floor) / (self.cost + floor)))
         return 0.5 * (gain - (self.m - other.m) * float(np.log(max(n, 2.0))))
 
 
 def solve(H: np.ndarray, g: np.ndarray) -> np.ndarray:
-    """Return H^+ g, with each unknown scaled by its own curvature."""
+    """Return H^+ g, with each unknown scaled by its own curvature.
+
+    Args:
+        H: Symmetric matrix (m, m).
+        g: Vector (m,), or columns (m, k).
+    """
     size = 1.0 / np.sqrt(np.maximum(np.diag(H), 1e-300))
     inverse = np.linalg.pinv(H * np.outer(size, size), rcond=1e-12, hermitian=True)
     return (size * (inverse @ (size * g.T).T).T).T  # of a vector, or of each column
 
 
 def autocorrelation(r: np.ndarray, parts: Sequence[slice]) -> float:
-    """Return the factor by which correlated neighbours in each part increase a variance, at least 1."""
+    """Return the factor by which correlated neighbours in each part increase a variance, at least 1.
+
+    Args:
+        r: Array (n, k) of residuals.
+        parts: Consecutive samples of each part.
+    """
     total, square = 1.0, max(float(np.sum(r**2)) / len(r), 1e-300)
     for k in range(1, 101):
         products = np.concatenate([np.sum(r[p][k:] * r[p][:-k], axis=1) for p in parts])
@@ -297,11 +347,17 @@ def autocorrelation(r: np.ndarray, parts: Sequence[slice]) -> float:
 # --------------------------------------------------------------------------------- which recordings share a place
 
 
-def groups_of(fit: RowFit) -> list[set[int]]:
-    """Return the groups of recordings that share Lambda, largest first: one unless several explain much more.
+def group_fit(fit: RowFit) -> list[set[int]]:
+    """Return the groups of recordings that share Lambda, largest first: one group unless several explain much more.
 
-    Joint offsets explain what they can in both cases: with them one drawer seems to run in other directions from other
-    postures. To first order in B.
+    Joint offsets are eliminated in both cases: with them, one drawer seems to run in other directions from other
+    postures. The comparison is of first order in B.
+
+    Args:
+        fit: Fit of one Lambda to all recordings.
+
+    Returns:
+        Numbers of the recordings of each group.
     """
     m, recs = fit.m, sorted(set(fit.motion.recs))
     away = [np.sqrt(np.mean(np.sum(fit.r[p] ** 2, axis=1))) for p in fit.motion.parts]
@@ -311,24 +367,32 @@ def groups_of(fit: RowFit) -> list[set[int]]:
     ridge = 1e-9 * np.diag(np.diag(np.sum([*fit.G.values()], axis=0)[:m, :m]))
 
     def reduced(members: Sequence[int]) -> np.ndarray:
-        """Return [K r]^T [K r] with B eliminated."""
+        """Return [K r]^T [K r] with B eliminated.
+
+        Args:
+            members: Numbers of recordings.
+        """
         total = np.sum([fit.G[i] for i in members], axis=0)
         return total[m:, m:] - total[m:, :m] @ np.linalg.solve(total[:m, :m] + ridge, total[:m, m:])
 
     groups: dict[tuple[int, ...], np.ndarray] = {(i,): reduced([i]) for i in few}
     dof = max(fit.dof * len(few) / len(recs) - m * (len(few) - 1), 1.0)
-    variance = sum(x[-1, -1] for x in groups.values()) / dof + LEAST_RAD**2
-    r = fit.r.copy()  # with B of its own for each of the few
+    variance = sum(x[-1, -1] for x in groups.values()) / dof + ACCURACY**2
+    r = fit.r.copy()  # with a separate B for each of the few
     for p, i in zip(fit.motion.parts, fit.motion.recs, strict=True):
         if i in few:
             r[p] -= fit.X[p][:, :, :m] @ solve(fit.G[i][:m, :m], fit.G[i][:m, -1])
     n = dof / autocorrelation(r, fit.motion.parts)
 
     def nats(groups: dict[tuple[int, ...], np.ndarray]) -> float:
-        """Return the evidence of groups with joint offsets eliminated, net of their price [nats]."""
+        """Return the evidence of groups with joint offsets eliminated, net of their price [nats].
+
+        Args:
+            groups: Numbers of the recordings of a group -> its matrix [K r]^T [K r].
+        """
         S = np.sum([*groups.values()], axis=0)
         K = S[:-1, :-1] + variance / TAU[-1] ** 2 * np.eye(len(S) - 1)
-        cost = max(float(S[-1, -1] - S[-1, :-1] @ np.linalg.solve(K, S[:-1, -1])), 0.0) + dof * LEAST_RAD**2
+        cost = max(float(S[-1, -1] - S[-1, :-1] @ np.linalg.solve(K, S[:-1, -1])), 0.0) + dof * ACCURACY**2
         return -0.5 * n * float(np.log(cost)) - 0.5 * m * len(groups) * float(np.log(max(n, 2.0)))
 
     if nats(groups) - nats({tuple(few): reduced(few)}) < LEAST_GAIN:
@@ -343,29 +407,35 @@ def groups_of(fit: RowFit) -> list[set[int]]:
             break
         groups = fewer
     out = sorted((set(g) for g in groups), key=len, reverse=True)
-    for i in set(recs) - set(few):  # the others join the group that they fit best
+    for i in set(recs) - set(few):  # the others join the group with the smallest loss
         losses = [reduced([*g, i])[-1, -1] - reduced(list(g))[-1, -1] for g in out]
         out[int(np.argmin(losses))].add(i)
     return out
 
 
 def misfit(fit: RowFit) -> tuple[float, float]:
-    """Return the evidence for another shape, and the RMS residual along the rows [m or rad].
+    """Return the evidence for another shape, and the RMS residual along the rows.
 
-    The evidence is the gain of cubics in the position of the hand that are fitted to the other recordings, over joint
-    offsets alone [nats]: a residual that repeats in all recordings.
+    The evidence is the gain of cubics in the position of the hand over joint offsets alone, on recordings left out of
+    their fit: it shows a residual that repeats in all recordings.
+
+    Args:
+        fit: Fit of the rows.
+
+    Returns:
+        Evidence [nats] and residual [m or rad].
     """
     motion, off = fit.motion, np.linalg.solve(fit.root, fit.r[:, :, None])
-    left = float(np.sqrt(np.mean(np.sum(off**2, axis=(1, 2)))))
+    rms = float(np.sqrt(np.mean(np.sum(off**2, axis=(1, 2)))))
     if motion.poses is None or len(set(motion.recs)) < 3 or not fit.m:
-        return 0.0, left
+        return 0.0, rms
     x = motion.poses[:, :3, 3] - motion.poses[:, :3, 3].mean(axis=0)
     factors = [[*axes] for n in (2, 3) for axes in combinations_with_replacement(range(3), n)]
     powers = np.stack([np.prod(x[:, axes], axis=1) for axes in factors], axis=1)
     P = np.einsum("nai,nc->naic", fit.root, powers).reshape(*fit.r.shape, -1)
-    X = np.concatenate([fit.X[:, :, :-1], fit.without_constants(P), fit.X[:, :, -1:]], axis=2)
+    X = np.concatenate([fit.X[:, :, :-1], fit.centre(P), fit.X[:, :, -1:]], axis=2)
     G, plain = fit.sums(X), fit.X.shape[2] - 1
-    total, prior, costs = np.sum([*G.values()], axis=0), np.zeros(X.shape[2] - 1), np.full(2, fit.dof * LEAST_RAD**2)
+    total, prior, costs = np.sum([*G.values()], axis=0), np.zeros(X.shape[2] - 1), np.full(2, fit.dof * ACCURACY**2)
     prior[fit.m : plain] = fit.variance / TAU[-1] ** 2
     for mine in G.values():
         rest = total - mine
@@ -373,7 +443,7 @@ def misfit(fit: RowFit) -> tuple[float, float]:
             b = np.append(-solve(rest[:d, :d] + np.diag(prior[:d]), rest[:d, -1]), 1.0)
             columns = [*range(d), -1]
             costs[i] += b @ mine[np.ix_(columns, columns)] @ b
-    return 0.5 * fit.dof / fit.alike * float(np.log(costs[0] / costs[1])), left
+    return 0.5 * fit.dof / fit.inflation * float(np.log(costs[0] / costs[1])), rms
 
 
 # ------------------------------------------------------------------------------------------------------ uncertainty
@@ -384,54 +454,76 @@ class Errors:
     """Draws of the error of B.
 
     Attributes:
-        noise, arm: shape (k, m), parts caused by noise and by errors of the arm.
-        delta: shape (k, e), errors of the arm of each draw.
+        noise, arm: Arrays (k, m), parts caused by noise and by errors of the arm.
+        delta: Array (k, e), errors of the arm of each draw.
+        beyond: Size of joint offsets [rad] that explain the residual far better than their prior; 0 if the prior
+            suffices.
     """
 
     noise: np.ndarray
     arm: np.ndarray
     delta: np.ndarray
-    beyond: float = 0.0  # [rad] of the joints' zeros that explain far more than what was thought of the arm
+    beyond: float = 0.0
 
 
-def errors_of(fit: RowFit, arm: ArmErrors, rng: np.random.Generator) -> Errors | None:
-    """Draw errors of the rows of a fit; None with a single recording, or if only one row space is possible."""
+def draw_errors(fit: RowFit, arm: ArmErrors, rng: np.random.Generator) -> Errors | None:
+    """Draw errors of the rows of a fit.
+
+    Args:
+        fit: Fit of the rows.
+        arm: Prior of the errors of the arm.
+        rng: Source of random numbers.
+
+    Returns:
+        Draws; None with a single recording, or if only one row space is possible.
+    """
+    # number of draws: the 68 % quantile is accurate to 3 %; odds that joint offsets do not exceed their prior
+    n_draws, odds = 1000, 20.0
     m, n = fit.m, len(set(fit.motion.recs))
     if not m or n < 2:
         return None
-    total, variance = np.sum([*fit.G.values()], axis=0), fit.cost / fit.dof * fit.alike + 1e-30
+    total, variance = np.sum([*fit.G.values()], axis=0), fit.cost / fit.dof * fit.inflation + 1e-30
     H = total[:m, :m]
     C = variance * solve(H, np.eye(m))
-    # what the recordings scatter beyond that: their influences, corrected for the leverage of each
+    # scatter of the recordings beyond that: their influences, corrected for the leverage of each
     white = np.linalg.cholesky(np.linalg.inv(0.5 * (C + C.T) + (1e-14 * np.trace(C) / m + 1e-300) * np.eye(m)))
-    moves = [white.T @ solve(1.001 * H - own[:m, :m], own[:m, -1]) for own in fit.G.values()]
+    moves = [white.T @ solve(1.001 * H - sums[:m, :m], sums[:m, -1]) for sums in fit.G.values()]
     ratio, freedom = (1.0 - 1.0 / n) * float(np.sum(np.square(moves))) / m, max(m * (n - 1.0), 2.0)
     values, vectors = np.linalg.eigh(C)
-    noise = rng.standard_normal((DRAWS, m)) @ ((vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T)
+    noise = rng.standard_normal((n_draws, m)) @ ((vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T)
     if ratio > 1.0 + 1.5 * np.sqrt(2.0 / freedom):
-        noise *= np.sqrt(ratio * freedom / rng.chisquare(freedom, DRAWS))[:, None]
-    # the arm: delta ~ N(0, (z^2 + tau^2)), its pattern and the residual less what B takes up
-    variance += LEAST_RAD**2
+        noise *= np.sqrt(ratio * freedom / rng.chisquare(freedom, n_draws))[:, None]
+    # errors of the arm, delta ~ N(0, (z^2 + tau^2)), from their pattern and the residual with B eliminated
+    variance += ACCURACY**2
     response = -solve(H, total[:m, m:])
     S = total[m:, m:] + total[m:, :m] @ response
     lam, V = np.linalg.eigh(S[:-1, :-1])
     lam, hv = np.maximum(lam, 0.0), V.T @ S[:-1, -1]
-    seen = lam > 1e-8 * max(lam.max(), 1e-300)
+    observable = lam > 1e-8 * max(lam.max(), 1e-300)
     sizes = arm.zeros**2 + TAU**2
     # log-likelihood of each size of joint offsets beyond their prior, none first
-    v = lam[seen] * (variance + lam[seen] * sizes[:, None]) + 1e-300
-    likelihood = -0.5 * np.sum(np.log(v) + hv[seen] ** 2 / v, axis=1)
+    v = lam[observable] * (variance + lam[observable] * sizes[:, None]) + 1e-300
+    likelihood = -0.5 * np.sum(np.log(v) + hv[observable] ** 2 / v, axis=1)
     weight = np.exp(likelihood - likelihood.max())
-    weight[0] *= NONE_TO_SOME * (len(TAU) - 1)
-    prior = sizes[rng.choice(len(TAU), DRAWS, p=weight / weight.sum()), None]
+    weight[0] *= odds * (len(TAU) - 1)
+    prior = sizes[rng.choice(len(TAU), n_draws, p=weight / weight.sum()), None]
     posterior = np.divide(1.0, lam / variance + 1.0 / np.maximum(prior, 1e-300))
-    mean = -posterior * np.where(seen, hv / variance, 0.0)
+    mean = -posterior * np.where(observable, hv / variance, 0.0)
     delta = (mean + np.sqrt(posterior) * (rng.standard_normal(posterior.shape) @ V)) @ V.T
     likeliest = int(np.argmax(likelihood))
-    far = TAU[likeliest] > 3.0 * arm.zeros and likelihood[likeliest] - likelihood[0] > LEAST_GAIN
-    return Errors(noise, delta @ response[:, :-1].T, delta, float(TAU[likeliest]) if far else 0.0)
+    is_beyond = TAU[likeliest] > 3.0 * arm.zeros and likelihood[likeliest] - likelihood[0] > LEAST_GAIN
+    return Errors(noise, delta @ response[:, :-1].T, delta, float(TAU[likeliest]) if is_beyond else 0.0)
 
 
 def angles(rows: np.ndarray, W: np.ndarray, B: np.ndarray) -> np.ndarray:
-    """Return the angle of each of Lambda + B Lambda_perp to Lambda, in the rows of the features [rad]."""
+    """Return the angle of each Lambda + B Lambda_perp to Lambda, in the rows of the features.
+
+    Args:
+        rows: Array (s, r), whitened rows of Lambda.
+        W: Whitening matrix (r, p).
+        B: Array (k, s (r - s)) of parameters.
+
+    Returns:
+        Array (k,) [rad].
+    """
     return row_space_angles((rows + B.reshape(len(B), len(rows), -1) @ null_basis(rows).T) @ W, rows @ W)

@@ -1,8 +1,9 @@
-"""Acceptance of rows: those that exchanging the joints between recordings breaks, or that rest at one place.
+"""Acceptance of rows: by the recombination test, or because they rest at one place.
 
-The recordings are aligned in phase (the share of the way covered) and their joints exchanged at random: joint 1 moves
-as in recording a, joint 2 as in b, and so on. Each joint keeps its own motion, only the coordination that a contact
-enforces is lost. The strength of a row is how much more it is used then; the rank of the recorded level is its p-value.
+The recombination test aligns the recordings in phase (the share of the path covered) and exchanges their joints at
+random: joint 1 moves as in recording a, joint 2 as in b, and so on. Each joint keeps its own motion; only the
+coordination that a contact enforces is lost. The strength of a row is the ratio by which its motion grows; the rank of
+the recorded motion among the recombined ones is its p-value.
 """
 
 from __future__ import annotations
@@ -18,25 +19,21 @@ import numpy as np
 
 from manip_learn.constraint.features.feature_map import FeatureMap
 from manip_learn.errors import counted
-from manip_learn.learning.repeats import once_each
+from manip_learn.learning.repeats import drop_duplicates
 from manip_learn.learning.search import Hypothesis, least_used
-from manip_learn.learning.table import BELIEVED, CLEAR_GAP, OVER_NOISE, SLIGHT, Stretch, View, steps_along, whitening
+from manip_learn.learning.table import CLEAR_GAP, OVER_NOISE, SLIGHT, STRENGTH, Stretch, View, tangents, whitening
 from manip_learn.recordings.trajectory import Trajectory
 
-FEWEST = 3  # recordings, below which nothing is clear
-CHANCE = 0.01  # of so little motion by independent joints, above which nothing is shown
-# postures in a bin of phase, bins at most, and the time that one should cover [s]. Set by hand
-NODES, MOST_BINS, BIN_SECONDS = 4, 24, 0.25
-RECOMBINATIONS, MOST_RECOMBINATIONS, MOST_PIECES = 199, 3184, 16  # at first, until decided; pieces that take part
-FLOOR = 1e-5  # levels below this may be what interpolation leaves
-SURE = NormalDist().inv_cdf(0.995)
+FEWEST = 3  # smallest number of recordings for clear evidence
+CHANCE = 0.01  # largest p-value of a supported row
+NODES = 4  # postures in a bin of phase. Set by hand
 
 
 class RowSupport(NamedTuple):
     """Evidence that one row is constrained, from the recombination test.
 
     Attributes:
-        strength: How many times more motion the row would show if the joints moved independently.
+        strength: Motion of the row if the joints moved independently, over the recorded one.
         p_value: Probability of so little motion along it if the joints moved independently.
         state: `"held"`, `"free"` or `"untried"`.
     """
@@ -53,10 +50,10 @@ class Evidence:
     Attributes:
         strengths, lower: Strength, and its lower bound with 99 % confidence.
         chances: p-value.
-        levels: RMS displacement of the recorded motion, relative to that of the joints [1].
+        levels: RMS displacement of the recorded motion, relative to the motion of the joints [1].
         n_pieces: Number of pieces of recordings.
         believed: Smallest accepted lower bound.
-        firm: Number of rows that rest at one place, accepted without exchange.
+        firm: Number of rows that rest at one place, accepted without recombination.
     """
 
     strengths: np.ndarray
@@ -64,7 +61,7 @@ class Evidence:
     chances: np.ndarray
     levels: np.ndarray
     n_pieces: int
-    believed: float = BELIEVED
+    believed: float = STRENGTH
     firm: int = 0
 
     @property
@@ -74,20 +71,25 @@ class Evidence:
         rows = zip(self.strengths, self.lower, self.chances, self.levels, strict=True)
         for i, (strength, lower, p, level) in enumerate(rows):
             if strength < self.believed and level <= self.believed * self.levels[0]:
-                continue  # never tried, as little by exchanged joints: it counts with a held row after it
+                continue  # not exercised, nor by exchanged joints: it counts with a held row after it
             if p > CHANCE or strength < self.believed:
                 break
             n = i + 1 if lower >= self.believed else n
         return max(n, min(self.firm, len(self.strengths)))
 
     def verdict(self, s: int, fewest: int = FEWEST) -> str:
-        """Return `"none"`, `"weak"` or `"clear"` for s rows; clear of so many pieces at least."""
+        """Return `"none"`, `"weak"` or `"clear"` for the first s rows.
+
+        Args:
+            s: Number of rows.
+            fewest: Smallest number of pieces for clear evidence.
+        """
         clear = self.n_pieces >= fewest and 0 < s <= self.n_rows and self.lower[s - 1] >= max(OVER_NOISE, self.believed)
         return "none" if not self.n_rows else "clear" if clear else "weak"
 
     @property
     def rows(self) -> tuple[RowSupport, ...]:
-        """Evidence for each row, most firmly held first."""
+        """Evidence for each row, most firmly constrained first."""
         n, most = self.n_rows, max(self.levels, default=0.0)
         states = ["held"] * n + ["free" if x >= most / 6.0 and x > 0.0 else "untried" for x in self.levels[n:]]
         return tuple(map(RowSupport, self.strengths.tolist(), self.chances.tolist(), states))
@@ -95,32 +97,32 @@ class Evidence:
     def sentence(self) -> str:
         """Return the evidence in words."""
         if not len(self.strengths):
-            return "the recordings do not move, so nothing shows which rows are held"
+            return "the recordings do not move, so no row can be tested"
         if not (n := self.n_rows):
             best = f"best strength {self.strengths[0]:.2g}, with 99 % confidence above {self.lower[0]:.2g}"
-            return f"no row is shown to be held ({best}; {self.believed:g} is the least that counts)"
-        soft, firm = "held softly, or by the way of moving only", "held firmly at one place each time, or never tried"
-        how = "held" if self.verdict(n) == "clear" else firm if n == self.firm else soft
+            return f"no row is confirmed ({best}; at least {self.believed:g} is needed)"
+        soft, firm = "held softly, or only by habit", "held firmly at one place each time, or never exercised"
+        state = "held" if self.verdict(n) == "clear" else firm if n == self.firm else soft
         strengths = ", ".join(f"{x:.3g}" for x in self.strengths[:n])
-        said = f"{counted(n, 'row')} {how} (strength {strengths}, p = {max(self.chances[:n]):.2g})"
+        text = f"{counted(n, 'row')} {state} (strength {strengths}, p = {max(self.chances[:n]):.2g})"
         few = f"; too few to be sure with {self.n_pieces} recordings, record 5 or more"
-        return said if self.n_pieces >= FEWEST else said + few
+        return text if self.n_pieces >= FEWEST else text + few
 
 
 def _aligned(pieces: Sequence[Trajectory], scale: np.ndarray, n_bins: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return pieces at evenly spaced phases: postures, displacements relative to their length, weights of the bins.
 
-    Backward strokes are reversed, and pieces that mostly run backward: A u = 0 also holds for -u.
+    Backward strokes are reversed, and so are pieces that mostly run backward: A u = 0 also holds for -u.
 
     Args:
         pieces: g pieces.
-        scale: shape (nv,), usual size of each velocity.
+        scale: Array (nv,), usual size of each velocity.
         n_bins: Number of bins k of `NODES` steps each.
 
     Returns:
-        Shapes (g, k NODES, nq), (g, k NODES, nv) and (g, k).
+        Arrays (g, k NODES, nq), (g, k NODES, nv) and (g, k).
     """
-    found = []
+    aligned = []
     for t in pieces:
         time, u = t.time, np.asarray(t.u)
         half = 0.5 * np.diff(time)[:, None]
@@ -132,20 +134,20 @@ def _aligned(pieces: Sequence[Trajectory], scale: np.ndarray, n_bins: int) -> tu
         nodes = np.stack([np.interp(at[::2], time, way) for way in ways[:-1]], axis=1)
         q = np.stack([np.interp(at[1::2], time, x) for x in t.q.T], axis=1)
         weight = 1.0 / np.maximum(np.diff(at[:: 2 * NODES]), 1e-12 * t.duration)
-        found.append((q, np.diff(nodes, axis=0) / length, length**2 * weight / weight.mean()))
-    q, steps, weight = (np.stack(x) for x in zip(*found, strict=True))
+        aligned.append((q, np.diff(nodes, axis=0) / length, length**2 * weight / weight.mean()))
+    q, steps, weight = (np.stack(x) for x in zip(*aligned, strict=True))
     bins = steps.reshape(len(steps), n_bins, NODES, -1).sum(axis=2) / scale
     common = np.linalg.svd(np.concatenate(bins), full_matrices=False)[2][0]
-    for i, own in enumerate(np.linalg.svd(bins, full_matrices=False)[2][:, 0]):
-        along = bins[i] @ (own if own @ common >= 0.0 else -own)
+    for i, direction in enumerate(np.linalg.svd(bins, full_matrices=False)[2][:, 0]):
+        along = bins[i] @ (direction if direction @ common >= 0.0 else -direction)
         steps[i] *= np.repeat(np.where(along < 0.0, -1.0, 1.0), NODES)[:, None]
         if along.sum() < -0.5 * np.abs(along).sum():
             q[i], steps[i], weight[i] = q[i, ::-1], steps[i, ::-1], weight[i, ::-1]
     return q, steps, weight
 
 
-def recombined(
-    features: FeatureMap, pieces: Sequence[Trajectory], seed: int = 0, choices: float = 1.0, believed: float = BELIEVED
+def recombination_test(
+    features: FeatureMap, pieces: Sequence[Trajectory], seed: int = 0, choices: float = 1.0, believed: float = STRENGTH
 ) -> Evidence:
     """Return the evidence that rows of Phi are constrained, by exchanging the joints between pieces.
 
@@ -156,30 +158,39 @@ def recombined(
         choices: Number of hypotheses among which this one was selected (Bonferroni).
         believed: Smallest accepted lower bound of a strength.
     """
+    # largest number of phase bins, duration of a bin [s], and largest number of pieces. Set by hand
+    max_bins, bin_seconds, max_pieces = 24, 0.25, 16
+    # number of recombinations at first, and largest number if the result is not decided; smaller levels may be
+    # interpolation errors; normal quantile of that decision
+    n_first, n_last, floor, sure = 199, 3184, 1e-5, NormalDist().inv_cdf(0.995)
     rng, none = np.random.default_rng(seed), np.zeros(0)
     pieces = [t for t in pieces if len(t) > 2 and np.any(t.u)]
-    if len(pieces) > MOST_PIECES:
-        pieces = [pieces[i] for i in np.sort(rng.choice(len(pieces), MOST_PIECES, replace=False))]
+    if len(pieces) > max_pieces:
+        pieces = [pieces[i] for i in np.sort(rng.choice(len(pieces), max_pieces, replace=False))]
     if not pieces:
         return Evidence(none, none, none, none, 0)
     size = np.sqrt(np.mean([np.mean(np.square(np.asarray(t.u)), axis=0) for t in pieces], axis=0))
     scale = np.maximum(size, 0.3 * size.max())
-    most = int(min(MOST_BINS, max(np.median([len(t) for t in pieces]) // 2, 1)))
-    n_bins = int(np.clip(round(float(np.median([t.duration for t in pieces])) / BIN_SECONDS), min(4, most), most))
+    most = int(min(max_bins, max(np.median([len(t) for t in pieces]) // 2, 1)))
+    n_bins = int(np.clip(round(float(np.median([t.duration for t in pieces])) / bin_seconds), min(4, most), most))
     (q, steps, weight), g = _aligned(pieces, scale, n_bins), len(pieces)
     Phi = np.stack([features.batch(x) for x in q])
     W = whitening(Phi.reshape(-1, *Phi.shape[2:]), features.row_units)
     if not len(W):
         return Evidence(none, none, none, none, g)
     bins = steps.reshape(g, n_bins, NODES, -1).sum(axis=2)
-    if g < FEWEST:  # too few to exchange between: joints are shifted in phase against each other too
+    if g < FEWEST:  # too few pieces to exchange joints: joints are also shifted in phase against each other
         steps = np.concatenate([np.roll(steps, round(k * NODES * n_bins / 8), axis=1) for k in range(8)])
     parts = np.einsum("gnpv,anv->gnvap", W @ Phi, steps)
     parts = parts.reshape(g, n_bins, NODES, *parts.shape[2:]).sum(axis=2) * np.sqrt(weight)[:, :, None, None, None]
     energy = float(np.mean(weight[:, :, None] * bins**2))
 
     def moments(order: np.ndarray) -> np.ndarray:
-        """Return the mean of r r^T over the bins of each piece, for m arrangements of the joints (m, nv, g)."""
+        """Return the mean of r r^T over the bins of each piece for m arrangements of the joints.
+
+        Args:
+            order: Array (m, nv, g), piece that each joint is taken from.
+        """
         out = []
         for some in np.array_split(order, -(-len(order) // 64)):
             motion = np.sum([parts[np.arange(g), :, v, some[:, v]] for v in range(features.nv)], axis=0)
@@ -196,30 +207,37 @@ def recombined(
     mean = recorded.mean(axis=0)
     directions, all_moments, n = np.linalg.eigh(mean)[1].T, mean[None], 0
     while True:
-        n = max(RECOMBINATIONS, 4 * n)
+        n = max(n_first, 4 * n)
         shape = (n + 1 - len(all_moments), features.nv, g)
         order = np.argsort(rng.random(shape), axis=2) if len(steps) == g else rng.integers(0, len(steps), shape)
         all_moments = np.concatenate([all_moments, moments(order).mean(axis=1)])
-        # row s is looked for outside rows 1 .. s-1 of the recorded motion, in all motions alike
+        # search for row s outside rows 1 .. s-1 of the recorded motion, also in the recombined motions
         turned = directions @ all_moments @ directions.T
         least = np.stack([np.linalg.eigvalsh(turned[:, s:, s:])[:, 0] for s in range(len(W))], axis=1)
-        levels = np.maximum(np.sqrt(np.maximum(least, 0.0) / energy), FLOOR)
+        levels = np.maximum(np.sqrt(np.maximum(least, 0.0) / energy), floor)
         ratios = levels[1:] / np.maximum(held_out, levels[0])
-        strengths, spread = np.median(ratios, axis=0), np.std(np.log(np.maximum(ratios, FLOOR)), axis=0)
+        strengths, spread = np.median(ratios, axis=0), np.std(np.log(np.maximum(ratios, floor)), axis=0)
         chances = (1.0 + np.count_nonzero(levels[1:] <= levels[0], axis=0)) / (1.0 + n)
-        found = Evidence(strengths, strengths * np.exp(-z * spread), chances, levels[0], g, believed)
-        error = SURE * math.sqrt((0.5 * math.pi + 0.5 * z**2) / n) * spread
-        near = np.abs(np.log(np.maximum(found.lower, 1e-300) / believed)) < error
-        near |= (np.abs(chances - CHANCE) < SURE * math.sqrt(CHANCE / n)) & (chances * (n + 1) > 1.5)
+        evidence = Evidence(strengths, strengths * np.exp(-z * spread), chances, levels[0], g, believed)
+        error = sure * math.sqrt((0.5 * math.pi + 0.5 * z**2) / n) * spread
+        near = np.abs(np.log(np.maximum(evidence.lower, 1e-300) / believed)) < error
+        near |= (np.abs(chances - CHANCE) < sure * math.sqrt(CHANCE / n)) & (chances * (n + 1) > 1.5)
         decided = np.append((chances > CHANCE) | (strengths < believed), True)
-        if n >= MOST_RECOMBINATIONS or not near[: np.argmax(decided) + 1].any():
-            return found
+        if n >= n_last or not near[: np.argmax(decided) + 1].any():
+            return evidence
 
 
-def joints_at_once(u: np.ndarray, noise: float) -> tuple[float, float]:
-    """Return how many joints move at the same time, and how much all but the fastest do over a variance of the noise.
+def simultaneous_joints(u: np.ndarray, noise: float) -> tuple[float, float]:
+    """Return the number of joints that move at the same time, and the motion of all but the fastest joint over the
+    noise.
 
-    The number is an effective one, 1 for a single joint, 0 at rest; the other is a mean square velocity over the noise.
+    Args:
+        u: Array (n, nv) of joint velocities [rad/s or m/s].
+        noise: Variance of the noise of velocities [(rad/s)^2].
+
+    Returns:
+        Effective number of joints: 1 for a single joint, 0 at rest; and a mean square velocity over the variance of the
+        noise.
     """
     square = u**2
     others = np.sort(np.mean(square, axis=0))[:-1].mean() / max(noise, 1e-300)
@@ -231,11 +249,17 @@ def joints_at_once(u: np.ndarray, noise: float) -> tuple[float, float]:
 def is_firm(view: View, rows: np.ndarray, share: float, stretches: Sequence[Stretch]) -> bool:
     """Return True if rows rest at one place in at least three recordings, each time reached from elsewhere.
 
-    They move no more than the noise, and far less than free rows. A joint at rest has no motion to exchange, so that
-    the recombination test does not apply.
+    They move no more than the noise, and far less than free rows. A joint at rest has no motion to exchange, so the
+    recombination test does not apply.
+
+    Args:
+        view: View of the rows.
+        rows: Array (s, r) of whitened rows.
+        share: Share of the free velocity that violates the rows.
+        stretches: Stretches in which they are constrained.
     """
-    table, m, s, shown = view.table, view.all, len(rows), {x.recording for x in stretches}
-    if len(shown) < FEWEST or share > SLIGHT or table.q.shape != table.u.shape or s >= view.r:
+    table, m, s, recordings = view.table, view.all, len(rows), {x.recording for x in stretches}
+    if len(recordings) < FEWEST or share > SLIGHT or table.q.shape != table.u.shape or s >= view.r:
         return False
     inside = table.inside(stretches)
     w = m.weight * inside
@@ -243,34 +267,42 @@ def is_firm(view: View, rows: np.ndarray, share: float, stretches: Sequence[Stre
     (sizes,), _ = least_used(M[None], S[None], m.noise[inside].mean()[None])
     if sizes[s] < OVER_NOISE * CLEAR_GAP * sizes[s - 1]:
         return False
-    middles, came = [], []
+    middles, approaches = [], []
     for x in stretches:
         way = view.way((m.recording == x.recording) & (m.time < x.start), rows)
-        came.append(np.linalg.norm(np.ptp(way, axis=0)) if len(way) else 0.0)
+        approaches.append(np.linalg.norm(np.ptp(way, axis=0)) if len(way) else 0.0)
         t = table.moved[x.recording]
         middles.append(t.q[np.searchsorted(t.time, 0.5 * (x.start + x.end))])
     off, features = [], view.features
     for line in (np.linspace(middles[0], q, 21) for q in middles[1:]):
-        steps = steps_along(features.robot, line)
+        steps = tangents(features.robot, line)
         moved = np.einsum("npv,nv->p", features.batch(0.5 * (line[1:] + line[:-1])), steps)
         off.append(np.linalg.norm(rows @ view.W @ moved))
-    return bool(max(off) <= SLIGHT * np.median(came))
+    return bool(max(off) <= SLIGHT * np.median(approaches))
 
 
 @dataclass(frozen=True)
 class Gate:
-    """Test of a hypothesis that was selected among several views and numbers of rows."""
+    """Test of a hypothesis that was selected among several views and numbers of rows.
+
+    Attributes:
+        seed: Seed of the recombination.
+        believed: Smallest accepted lower bound of a strength.
+    """
 
     seed: int = 0
-    believed: float = BELIEVED
+    believed: float = STRENGTH
 
     def evidence(self, view: View, stretches: Sequence[Stretch], choices: float | None = None) -> Evidence:
         """Return the evidence of stretches.
 
-        `choices`, see `recombined`, are by default those of as many stretches, as long as these, from all recordings,
-        times the hypotheses of all views.
+        Args:
+            view: View of the rows.
+            stretches: Stretches in which they are constrained.
+            choices: Number of hypotheses among which this one was selected; None for the number of choices of as many
+                stretches, as long as these, from all recordings, times the hypotheses of all views.
         """
-        pieces = once_each(view.table, stretches)
+        pieces = drop_duplicates(view.table, stretches)
         m, n, numbers = view.thin, len(view.table.moved), Counter(s.recording for s in pieces)
         moving = m.weight * m.moving
         whole = np.bincount(m.recording, moving, minlength=n)
@@ -279,9 +311,9 @@ class Gate:
         for s in pieces:
             span = np.sum(moving[(m.recording == s.recording) & (m.time >= s.start) & (m.time <= s.end)])
             log_ways += math.log(whole[s.recording] / span) if span > 0.0 else 0.0
-        ways = view.tried * math.exp(min(max(log_ways, 0.0), 700.0))  # a larger number is none
+        ways = view.tried * math.exp(min(max(log_ways, 0.0), 700.0))  # larger numbers overflow
         choices = ways if choices is None else choices
-        return recombined(view.features, list(pieces.values()), self.seed, choices, self.believed)
+        return recombination_test(view.features, list(pieces.values()), self.seed, choices, self.believed)
 
     def __call__(self, view: View, h: Hypothesis, stretches: Sequence[Stretch]) -> bool:
         """Return True if rows are constrained in stretches, by the recombination test or by one place.
@@ -293,16 +325,17 @@ class Gate:
         """
         if view.curved and len(h.rows) > 2:  # three surfaces meet in points
             return False
-        agreeing = view.steady(h.rows, stretches)
+        agreeing = view.steady_stretches(h.rows, stretches)
         for some in (stretches, agreeing) if len(agreeing) < len(stretches) else (stretches,):
             recs = {s.recording for s in some}
             if not recs or len(recs) < min(2, len(view.table.moved)):
                 return False
-            each = [(np.asarray(p.u), view.table.noises[s.recording]) for s, p in once_each(view.table, some).items()]
-            together, others = np.median([joints_at_once(*x) for x in each], axis=0) if each else (0.0, 0.0)
+            table = view.table
+            each = [(np.asarray(p.u), table.noises[s.recording]) for s, p in drop_duplicates(table, some).items()]
+            together, others = np.median([simultaneous_joints(*x) for x in each], axis=0) if each else (0.0, 0.0)
             if together >= 1.1 or others >= OVER_NOISE**2:
-                found = self.evidence(view, some)
+                evidence = self.evidence(view, some)
                 s = len(h.rows)
-                if found.n_rows >= s and (len(recs) >= FEWEST or found.verdict(s, 0) == "clear"):
+                if evidence.n_rows >= s and (len(recs) >= FEWEST or evidence.verdict(s, 0) == "clear"):
                     return True
         return is_firm(view, h.rows, h.scale[1], stretches)

@@ -2,15 +2,15 @@
 
 A Lambda of s rows accounts for all of u_n = Q_n c_n + Z_n w_n, Q_n and Z_n orthonormal bases of the row space and the
 null space of A_n = Lambda Phi(q_n). w_n is a policy of the posture and white noise of variance sigma^2; c_n is the
-task's own motion, of which nothing is known but that it is a signal in time. [Q Z] is orthonormal, so that the
-likelihoods of all Lambda, whatever their number of rows, are those of the same numbers: in nats
+motion of the task, an unknown signal in time. [Q Z] is orthonormal, so all Lambda, whatever their number of rows,
+explain the same numbers, and their likelihoods can be compared. In nats
 
     l(Lambda) = - sum_k N_k / 2 (log S_k + 1) - d / 2 log n + log N(Z^T u; 0, sigma^2 I + K T K^T)
 
 S_k is the mean square, per row, of Q c in octave k of the cosine transform of each recording, which has N_k entries; d
-is the number of these octaves and of the entries of Lambda (Schwarz, 1978). A row too many takes a direction that the
-policy predicts to the noise for one of which nothing is known: it costs log(S / sigma^2) / 2 a sample. Rows that are
-held are judged by the same l, with Z w for the signal in time and c for the noise.
+is the number of these octaves and of the entries of Lambda (Schwarz, 1978). A superfluous row turns a direction that
+the policy predicts to the noise into an unknown one: it costs log(S / sigma^2) / 2 a sample. Held rows are judged by
+the same l, with Z w for the signal in time and c for the noise.
 
 The policy is pi(q) = Theta^T beta(q), Theta ~ N(0, T) with one variance for all parameters of a grade (the monomials
 of one degree, the waves of one frequency), K = d (Z^T pi) / d Theta; Theta is integrated out. With C = K^T K,
@@ -18,9 +18,10 @@ P = sigma^2 T^-1 and theta the posterior mean of Theta,
 
     - 2 log N = n z log sigma^2 + log |C + P| - log |P| + (|Z^T (u - pi)|^2 + theta^T P theta) / sigma^2
 
-The variances are of maximum likelihood too (MacKay, 1992, Neural Computation 4(3), eq. (2.33) and following): a degree
-that the data do not need has variance 0. Without noise the policy is of least squares by an orthonormal basis (variable
-projection: Golub and Pereyra, 1973). Lambda moves by Gauss-Newton steps on the Grassmann manifold (Kaufman, 1975).
+The variances are maximum-likelihood estimates too (MacKay, 1992, Neural Computation 4(3), eq. (2.33) and following): a
+degree that the data do not need has variance 0. Without noise the policy is a least-squares fit in an orthonormal basis
+(variable projection: Golub and Pereyra, 1973). Lambda moves by Gauss-Newton steps on the Grassmann manifold (Kaufman,
+1975).
 
 `estimator="separate"` is the method of Towell, Howard and Vijayakumar (2010), equation (8) of Manavalan and Howard:
 
@@ -47,38 +48,42 @@ from scipy.linalg import LinAlgError, cholesky, eigh, solve_triangular
 from scipy.spatial import cKDTree
 
 from manip_learn.errors import NotIdentifiableError, advice, counted
-from manip_learn.learning.fit import STATED, Errors, angles, levels_on, solve
-from manip_learn.learning.table import CLEAR_GAP, LEAST_GAIN, NONE, WEAK_GAP, Settings, Table, View
+from manip_learn.learning.fit import LEVEL, Errors, angles, solve, view_levels
+from manip_learn.learning.table import CLEAR_GAP, LEAST_GAIN, WEAK_GAP, ZERO, Settings, Table, View
 from manip_learn.linalg import invert_triangles, null_basis, orthonormal_rows, row_bases
 
 POLYNOMIALS = ("constant", "affine", "quadratic", "cubic", "quartic", "quintic")
-# grades of each policy model; "affine-offset" has a rest posture for each recording; those of "auto" are taken in this
-# order while there is room
+# grades of each policy model; "affine-offset" has a rest posture for each recording; "auto" drops grades from the end
+# until the policy has few enough parameters
 MODELS: dict[str, tuple[str, ...]] = {name: POLYNOMIALS[: degree + 1] for degree, name in enumerate(POLYNOMIALS)}
 MODELS |= {"rbf": ("rbf32",), "affine-offset": ("affine", "offset"), "harmonic1": (*POLYNOMIALS[:2], "harmonic1")}
 MODELS |= {"harmonic2": (*MODELS["harmonic1"], "harmonic2")}
 MODELS |= {"auto": (*MODELS["harmonic1"], "quadratic", "cubic", "harmonic2")}
-EXACT = ("affine", "harmonic1", "quadratic", "harmonic2", "cubic", "quartic", "quintic")  # fewest parameters first
-MOST_COLUMNS = 400  # parameters of the general policy: the time of a step grows with their cube
-COMPARED, MOST = 4500, 60_000  # velocities that the search looks at, and the last fit: more only sharpen the answer
-OWN_RECORDINGS, OWN_STARTS = 16, 100  # rest postures of their own make the cost bumpy: many starts on few samples
-RANDOM_STARTS, SUBSPACES = 3, 10  # where no closed-form start leads to the noise; within the rows that were found
-ABOVE_NOISE = 1.5  # variance over that of the noise, of other joints, or of motion without a policy, that is more
-# shares of the energy: noise enough for an answer, a thousandth of the speed, better than recorded velocities are; and
-# the least variance, a millionth of the speed, also with rest postures of their own. Its square is rounding
-RESOLVED, LEAST = 1e-6, 1e-12
-EXPLAINED = 0.3  # share of left-out motion that a policy may leave; twice as much of a few samples is beyond hope
-SAME_PATH = 0.15  # root mean square distance from a path, over its standard deviation, within which a motion repeats it
-MOST_UNCERTAIN = 30.0  # [deg] beyond that rows are no answer
-DRAWS, TINY = 400, 1e-300  # of the recordings, for the spread of the rows; what keeps a quotient finite
-FEWEST_CENTRES, MOST_CENTRES, SAMPLES_PER_CENTRE = 4, 96, 10  # radial functions that separate
-STAGES = ((1e-6, 1e-3), (1e-8, 1e-3), (1e-10, 1e-9))  # least share of regressors' strength; gain of a step that ends
+FIT_SIZE = 60_000  # velocities in the last fit: more hardly change the answer
+ABOVE_NOISE = 1.5  # largest ratio of equal variances: to the noise, between joints, to motion without a policy
+# shares of the energy: noise that is small enough for an answer, a thousandth of the speed, better than recorded
+# velocities; and the smallest variance, a millionth of the speed, also with a rest posture of each recording. The
+# square of the latter is rounding
+RESOLUTION, MIN_VARIANCE = 1e-6, 1e-12
+UNEXPLAINED = 0.3  # largest unexplained share of left-out motion; twice as much, on few samples, stops the search
+MOST_UNCERTAIN = 30.0  # [deg] largest uncertainty of an answer
+TINY = 1e-300  # keeps quotients finite
+MOST_CENTRES, SAMPLES_PER_CENTRE = 96, 10  # radial functions of the policy that separates
 
 
 def regressors(table: Table, grade: str, seed: int) -> np.ndarray:
-    """Return beta of all postures, one grade of a policy: monomials of a degree, waves, offsets, radial functions.
+    """Return one grade of the regressors beta of a policy: monomials of a degree, waves, offsets or radial functions.
 
     With x, the posture shifted and scaled to about [-1, 1], monomials have sum beta(x) beta(y) = (x . y / m)^degree.
+
+    Args:
+        table: n samples.
+        grade: One of `POLYNOMIALS`; `"offset"`; `"harmonic1"` or `"harmonic2"`; or `"rbf32"`, with the number of
+            functions.
+        seed: Seed of the choice of the centres.
+
+    Returns:
+        Array (n, k).
     """
     low, high = table.q.min(axis=0), table.q.max(axis=0)
     angle, m = table.q - 0.5 * (low + high), table.q.shape[1]
@@ -97,8 +102,8 @@ def regressors(table: Table, grade: str, seed: int) -> np.ndarray:
     rng = np.random.default_rng(seed)
     few = x if len(x) <= 4000 else x[rng.choice(len(x), 4000, replace=False)]
     centres, _ = kmeans2(few, min(int(grade[3:]), len(np.unique(few, axis=0))), minit="++", seed=rng)
-    apart = max(float(cKDTree(centres).query(centres, 2)[0][:, 1].mean()), 1e-6)  # infinite for one alone
-    d2 = np.sum((x[:, None] - centres) ** 2, axis=2) / (2.0 * (8.0 * apart) ** 2)  # eight times as wide as that
+    apart = max(float(cKDTree(centres).query(centres, 2)[0][:, 1].mean()), 1e-6)  # infinite for a single one
+    d2 = np.sum((x[:, None] - centres) ** 2, axis=2) / (2.0 * (8.0 * apart) ** 2)  # eight times that distance
     phi = np.exp(d2.min(axis=1, keepdims=True) - d2)  # the nearest centre always counts
     return phi / phi.sum(axis=1, keepdims=True)
 
@@ -106,13 +111,14 @@ def regressors(table: Table, grade: str, seed: int) -> np.ndarray:
 class Data:
     """Samples in whitened rows, with the regressors of a policy and the grade of each.
 
-    Without grades they are those of rows that are held.
+    Without grades they are the samples for held rows.
 
     Attributes:
         mixing: L^-1 of the noise's covariance L L^T, by which u was multiplied.
         own: True if each recording has an offset of its own.
-        floor: Variance that is noise enough: what is resolved below it is how well features approximate the policy.
-        enough: Variance up to which a policy leaves nothing but noise.
+        floor: Smallest variance that counts as noise: below it, the residual shows how well features approximate the
+            policy.
+        enough: Largest variance at which a policy leaves nothing but noise.
     """
 
     def __init__(self, view: View, names: Sequence[str], seed: int, some: np.ndarray, mixing: np.ndarray | None = None):
@@ -124,21 +130,32 @@ class Data:
         self.mixing = np.eye(table.u.shape[1]) if mixing is None else mixing
         self.Phi, self.u = view.Phi[some] @ self.mixing.T, table.u[some] @ self.mixing.T
         self.mean_square = float(np.mean(self.u**2))
-        self.floor = (LEAST if self.own else RESOLVED) * self.mean_square
+        self.floor = (MIN_VARIANCE if self.own else RESOLUTION) * self.mean_square
         self.enough = ABOVE_NOISE * max(self.floor, 0.0 if self.own else float(np.median(table.noise[some])))
 
     def parts(self, most: int) -> list[np.ndarray]:
-        """Return the entries of u of groups of recordings; of samples in turn where recordings have offsets."""
+        """Return the entries of u of groups of recordings; of interleaved samples where recordings have offsets.
+
+        Args:
+            most: Largest number of groups.
+        """
         n = self.recording[-1] + 1
         group = np.arange(len(self.u)) % most if self.own else self.recording * min(n, most) // n
         return [np.flatnonzero(np.repeat(group == g, self.u.shape[1])) for g in np.unique(group)]
 
 
-def mixing_of(table: Table) -> np.ndarray | None:
-    """Return L^-1 for noise of covariance L L^T; None where it is alike in all joints.
+def noise_whitening(table: Table) -> np.ndarray | None:
+    """Return L^-1 for noise of covariance L L^T.
 
-    Policy and task move the arm smoothly, noise does not: differences of neighbouring samples show it. Bursts have
-    their direction, not their length, in it (Tyler, 1987: the S with mean e e^T / (e^T S^-1 e) = S / nv).
+    Policy and task move the arm smoothly, noise does not: third differences of the velocities show it. The estimate
+    uses the direction of each difference, not its length, so bursts count little (Tyler, 1987: the S with mean e e^T /
+    (e^T S^-1 e) = S / nv).
+
+    Args:
+        table: n samples.
+
+    Returns:
+        Matrix (nv, nv); None where the noise is alike in all joints.
     """
     e, nv = np.diff(table.u, 3, axis=0)[table.recording[3:] == table.recording[:-3]], table.u.shape[1]
     e, S = e[np.any(e != 0.0, axis=1)], np.eye(nv)
@@ -151,34 +168,34 @@ def mixing_of(table: Table) -> np.ndarray | None:
 class PolicyFit:
     """A Lambda with its policy: the posterior of Theta with the most likely variances, or least squares.
 
-    The residual e = N (u - pi), N the projector onto the null space of A, is what the policy leaves. Rows that are held
-    (equation (10)) are the same with I - N in the place of N and without a policy: e = A^+ A u.
+    The residual of the policy is e = N (u - pi), N the projector onto the null space of A. Held rows (equation (10))
+    are the same with I - N in the place of N and without a policy: e = A^+ A u.
 
-    D (n nv, k) is the derivative of N pi by Theta, J (n nv, m) that of e by B of Lambda + B Lambda_perp; D back^T = K
-    with K K^T what the policy takes up of a change of e.
+    D (n nv, k) is the derivative of N pi by Theta, J (n nv, m) the derivative of e by B of Lambda + B Lambda_perp; D
+    back^T = K, and K K^T projects a change of e onto its part that the policy absorbs.
     """
 
     def __init__(self, d: Data, rows: np.ndarray, before: PolicyFit | None = None, exact: bool = False):
-        (n, nv), held = d.u.shape, not len(d.grades)
-        self.d, self.rows, self.perp, self.exact = d, rows, null_basis(rows).T, exact or held
+        (n, nv), is_held = d.u.shape, not len(d.grades)
+        self.d, self.rows, self.perp, self.exact = d, rows, null_basis(rows).T, exact or is_held
         Q, R = row_bases((rows @ d.Phi).transpose(2, 1, 0))
         Q = Q.transpose(2, 0, 1)
         N = np.eye(nv) - Q @ Q.transpose(0, 2, 1)
         duals = invert_triangles(R).transpose(2, 0, 1) @ Q.transpose(0, 2, 1)  # A^{+T} (n, s, nv)
         free = N @ (self.perp @ d.Phi).transpose(0, 2, 1)  # N (Lambda_perp Phi)^T (n, nv, k)
-        self.N, self.n_driven = (np.eye(nv) - N, nv - len(rows)) if held else (N, len(rows))
+        self.N, self.n_driven = (np.eye(nv) - N, nv - len(rows)) if is_held else (N, len(rows))
         self.n_residuals, self.m = n * (nv - self.n_driven), len(rows) * len(self.perp)
         self.null = np.einsum("nij,nj->ni", self.N, d.u)
-        self.energy = max(float(np.sum(self.null**2)), (1.0 if held else 1e-16) * float(np.sum(d.u**2)))
+        self.energy = max(float(np.sum(self.null**2)), (1.0 if is_held else 1e-16) * float(np.sum(d.u**2)))
         self.D = np.einsum("nk,nvw->nvkw", d.beta, self.N).reshape(n * nv, -1)
         if self.exact:
             basis, T = np.linalg.qr(self.D)
             U, sigma, Vt = np.linalg.svd(T)
-            kept = sigma > 1e-13 * np.max(sigma, initial=0.0)
-            self.D, self.back = basis @ U[:, kept], np.eye(int(kept.sum()))
+            regular = sigma > 1e-13 * np.max(sigma, initial=0.0)
+            self.D, self.back = basis @ U[:, regular], np.eye(int(regular.sum()))
             self.precision, self.determined = np.zeros(len(self.back)), np.ones(len(d.grades))
             null = self.null.reshape(-1)
-            self._with(Vt[kept].T @ (self.D.T @ null / sigma[kept]))
+            self._with(Vt[regular].T @ (self.D.T @ null / sigma[regular]))
             self.e = null - self.D @ (self.D.T @ null)  # as small as rounding, where theta is not
             self.e -= self.D @ (self.D.T @ self.e)
             self.cost = self.residual = float(np.sum(self.e**2))
@@ -187,7 +204,7 @@ class PolicyFit:
             self._settle(before)
             self.cost = self.deviance(0.0)
         self.unexplained = self.residual / self.energy
-        if held:
+        if is_held:
             J = np.einsum("nsv,nk->nvsk", duals, np.einsum("nvk,nv->nk", free, self.y))
         else:
             J = -np.einsum("nsv,nv->ns", duals, self.y)[:, None, :, None] * free[:, :, None, :]
@@ -199,7 +216,7 @@ class PolicyFit:
         """Find the variances and Theta in turn."""
         C, pulled = self.D.T @ self.D, self.D.T @ self.null.reshape(-1)
         grade, size = np.repeat(self.d.grades, self.d.u.shape[1]), self.d.grades.max() + 1
-        scale, least = self.d.mean_square, LEAST * self.d.mean_square
+        scale, least = self.d.mean_square, MIN_VARIANCE * self.d.mean_square
         first = (0.1 * scale, np.full(size, 4.0 * scale)) if before is None else (before.noise, before.variances[:size])
         self.noise, self.variances = first
         for i in range(5 if before is None else 3):
@@ -220,16 +237,21 @@ class PolicyFit:
         self.residual = float(np.sum(self.e**2))
 
     def best(self, steps: int = 40) -> PolicyFit:
-        """Return the Lambda of least cost from here: Levenberg and Marquardt, without grades that are not needed."""
+        """Return the Lambda of smallest cost from here, by Levenberg-Marquardt steps, without grades that are not
+        needed.
+
+        Args:
+            steps: Largest number of steps.
+        """
         here, damping = self, 0.0
         for _ in range(steps):
             H = here.hessian
             B = -solve(H + damping * np.diag(np.diag(H)), here.J.T @ here.e)
-            if not B @ H @ B >= RESOLVED * here.noise or damping > 1e6:
+            if not B @ H @ B >= RESOLUTION * here.noise or damping > 1e6:
                 break
-            kept = (here.determined >= min(0.1, np.max(here.determined, initial=0.0)))[here.d.grades]
+            needed = (here.determined >= min(0.1, np.max(here.determined, initial=0.0)))[here.d.grades]
             d = copy(here.d)
-            d.beta, d.grades = d.beta[:, kept], d.grades[kept]
+            d.beta, d.grades = d.beta[:, needed], d.grades[needed]
             turned = here.rows + B.reshape(len(here.rows), -1) @ here.perp
             there = PolicyFit(d, orthonormal_rows(turned), here, here.exact)
             if there.cost < here.cost:
@@ -239,11 +261,18 @@ class PolicyFit:
         return here
 
     def errors(self, rng: np.random.Generator) -> dict[str, np.ndarray]:
-        """Draw errors B: recordings with replacement, each by its share of the step; and those of the policy.
+        """Draw errors B by a bootstrap over recordings, each with its share of the step; and errors of the policy.
 
         The residual of a recording is too small, since the fit follows it: (I - K K^T)^(-1/2) e is as large as the
         noise (Bell and McCaffrey, 2002). The policy is drawn towards zero, by (C + P)^-1 P Theta.
+
+        Args:
+            rng: Source of random numbers.
+
+        Returns:
+            Source of the error (`"noise"`, `"policy"`) -> array (k, m); empty with a single part.
         """
+        n_draws = 400  # bootstrap samples of the recordings
         parts, moves = self.d.parts(100), []
         if len(parts) < 2 or not self.m:
             return {}
@@ -255,25 +284,33 @@ class PolicyFit:
             e, (U, sigma, _) = self.e[some], np.linalg.svd(both[some], full_matrices=False)
             e = e + U @ ((np.maximum(1.0 - sigma**2, 1e-3) ** -0.5 - 1.0) * (U.T @ e))
             moves.append(solve(self.hessian, off[some].T @ e))
-        w = rng.multinomial(len(parts), np.full(len(parts), 1.0 / len(parts)), size=DRAWS) - 1.0
+        w = rng.multinomial(len(parts), np.full(len(parts), 1.0 / len(parts)), size=n_draws) - 1.0
         out = {"noise": w @ np.array(moves) * math.sqrt(len(parts) / (len(parts) - 1.0))}
         if not self.exact:
-            drawn = rng.standard_normal((DRAWS, len(self.back))) * np.sqrt(self.precision * self.noise)
+            drawn = rng.standard_normal((n_draws, len(self.back))) * np.sqrt(self.precision * self.noise)
             out["policy"] = solve(self.hessian, (drawn @ self.back.T @ self.KJ).T).T
         return out
 
     def deviance(self, floor: float) -> float:
-        """Return - 2 log N, see the module, with a noise of at least this variance."""
+        """Return - 2 log N, see the module.
+
+        Args:
+            floor: Smallest variance of the noise [(rad/s)^2].
+        """
         noise, penalty = max(floor, self.noise), float(np.sum(self.precision * self.theta**2))
         volume = -2.0 * float(np.sum(np.log(np.diag(self.back)))) - float(np.sum(np.log(self.precision)))
         return self.n_residuals * math.log(noise) + volume + (self.residual + penalty) / noise
 
     def nats(self, floor: float) -> float:
-        """Return l, see the module, with a noise of at least this variance [(rad/s)^2]."""
+        """Return the log-likelihood l, see the module [nats].
+
+        Args:
+            floor: Smallest variance of the noise [(rad/s)^2].
+        """
         d, n, squares, counts = self.d, len(self.d.u), np.zeros(64), np.zeros(64)
-        for own in np.split(d.u - self.null, np.flatnonzero(np.diff(d.recording)) + 1):
-            octave = np.frexp(np.arange(len(own)))[1]  # 0, then 1, 2-3, 4-7, ...
-            squares += np.bincount(octave, np.sum(dct(own, axis=0, norm="ortho") ** 2, axis=1), 64)
+        for signal in np.split(d.u - self.null, np.flatnonzero(np.diff(d.recording)) + 1):
+            octave = np.frexp(np.arange(len(signal)))[1]  # 0, then 1, 2-3, 4-7, ...
+            squares += np.bincount(octave, np.sum(dct(signal, axis=0, norm="ortho") ** 2, axis=1), 64)
             counts += self.n_driven * np.bincount(octave, minlength=64)
         squares, counts = squares[counts > 0], counts[counts > 0]
         variance = np.maximum(squares / counts, floor)
@@ -293,23 +330,41 @@ class PolicyFit:
 
 
 def conditional_pca(d: Data, beta: np.ndarray) -> np.ndarray:
-    """Return whitened directions by how much the task moved along them, most first: a closed-form start.
+    """Return whitened directions, the strongest task motion first: a closed-form start.
 
-    g = (Phi Phi^T)^-1 Phi u = G pi(q) + Lambda^T c, so that what a regression of g on the posture leaves over lies in
-    the row space; its covariance C is compared with that of isotropic noise: C x = e (sum G G^T) x.
+    g = (Phi Phi^T)^-1 Phi u = G pi(q) + Lambda^T c, so the residual of a regression of g on the posture lies in the row
+    space; its covariance C is compared with the covariance of isotropic noise: C x = e (sum G G^T) x.
+
+    Args:
+        d: n samples.
+        beta: Array (n, k) of regressors.
+
+    Returns:
+        Array (r, r).
     """
     GG = np.linalg.pinv(d.Phi @ d.Phi.transpose(0, 2, 1), rcond=1e-10, hermitian=True)
     g = np.einsum("npq,nqv,nv->np", GG, d.Phi, d.u, optimize=True)
     weight = 1.0 / np.maximum(np.einsum("npp->n", GG), TINY)  # near-singular postures count little
     root = np.sqrt(weight)[:, None]
-    left = g * root - beta * root @ np.linalg.lstsq(beta * root, g * root, rcond=1e-12)[0]
+    residual = g * root - beta * root @ np.linalg.lstsq(beta * root, g * root, rcond=1e-12)[0]
     S = np.einsum("n,nij->ij", weight, GG)
     S += 1e-14 * np.trace(S) / len(S) * np.eye(len(S))
-    return (S @ eigh(left.T @ left, S)[1][:, ::-1]).T
+    return (S @ eigh(residual.T @ residual, S)[1][:, ::-1]).T
 
 
 def search(d: Data, rng: np.random.Generator) -> list[PolicyFit]:
-    """Return the most likely Lambda of each number of rows, from none, on few samples."""
+    """Search for the most likely Lambda of each number of rows, from none, on few samples.
+
+    Args:
+        d: Few samples.
+        rng: Source of random starts.
+
+    Returns:
+        Best fit of each number of rows.
+    """
+    # random starts if each recording has its own rest posture, which makes the cost bumpy; random starts otherwise;
+    # random subspaces of the best rows
+    own_starts, random_starts, subspaces = 100, 3, 10
     (_, r, nv), fits = d.Phi.shape, dict[int, PolicyFit]()
 
     def look(starts: Iterable[np.ndarray]) -> None:
@@ -322,34 +377,51 @@ def search(d: Data, rng: np.random.Generator) -> list[PolicyFit]:
     few = [b for b in (d.beta[:, d.grades < 2], d.beta) if 2 * b.shape[1] < len(d.u)]
     directions = [conditional_pca(d, b) for b in few] or [np.eye(r)]
     look(x[:s] for s in range(min(r, nv - 1) + 1) for x in directions)
-    if likeliest(fits.values()).noise > d.enough:
-        look(x for s in list(fits) for x in rng.standard_normal((OWN_STARTS if d.own else RANDOM_STARTS, s, r)))
-    # one row less, within the rows of the best: they hold the true ones where these are fewer
+    if select_likeliest(fits.values()).noise > d.enough:
+        look(x for s in list(fits) for x in rng.standard_normal((own_starts if d.own else random_starts, s, r)))
+    # try one row less, within the row space of the best: it contains the true rows if these are fewer
     s = r + 1
-    while s > len(rows := likeliest(fits.values()).rows) > 1:
+    while s > len(rows := select_likeliest(fits.values()).rows) > 1:
         s = len(rows)
-        look(rng.standard_normal((SUBSPACES, s - 1, s)) @ rows)
+        look(rng.standard_normal((subspaces, s - 1, s)) @ rows)
     return list(fits.values())
 
 
-def likeliest(fits: Iterable[PolicyFit]) -> PolicyFit:
-    """Return the likeliest, of those whose policy predicts recordings that it was not fitted to.
+def select_likeliest(fits: Iterable[PolicyFit]) -> PolicyFit:
+    """Return the likeliest fit among those whose policy predicts recordings that it was not fitted to.
 
-    Likelihood alone believes in a rich policy that follows each of a few recordings.
+    Likelihood alone prefers a rich policy that follows each of a few recordings.
+
+    Args:
+        fits: Fits with different numbers of rows.
     """
-    some = [f for f in fits if f.held_out <= ABOVE_NOISE * max(f.energy, f.n_residuals * RESOLVED * f.d.mean_square)]
+    some = [f for f in fits if f.held_out <= ABOVE_NOISE * max(f.energy, f.n_residuals * RESOLUTION * f.d.mean_square)]
     return max(some, key=lambda f: f.nats(f.d.floor)) if some else min(fits, key=lambda f: f.held_out)
 
 
 @dataclass(eq=False)
 class Imposed:
-    """Rows that the demonstrator drives, with the policy beside them."""
+    """Rows that the demonstrator drives, with their null-space policy.
+
+    Attributes:
+        view, fit: View of the rows, and their fit with the policy.
+        gaps: Number of rows -> gap.
+        likeliest: Number of rows with the largest likelihood.
+        weak_gap: Smallest gap at which a number of rows is weakly supported.
+        policy_model, policy_residuals: Name of the policy model, and model -> held-out share of unexplained energy.
+        held_out: Share of the energy that is unexplained on held-out recordings.
+        nats: Log-likelihood [nats].
+        estimator: `"joint"` or `"separate"`.
+        levels: Sizes of the motion along each direction; empty for the joint estimator.
+        uncertainty, errors: Parts of the uncertainty [deg], and draws of the error.
+        warnings: Warnings about the answer.
+    """
 
     view: View
     fit: PolicyFit
     gaps: dict[int, float]
-    likeliest: int  # number of rows
-    weak_gap: float  # from which a number of rows is weakly supported
+    likeliest: int
+    weak_gap: float
     policy_model: str
     policy_residuals: dict[str, float]
     held_out: float
@@ -362,36 +434,45 @@ class Imposed:
 
 
 def learn_imposed(views: list[View], settings: Settings) -> Imposed | NotIdentifiableError:
-    """Return the likeliest rows with a policy beside them, in the features where they are likeliest; or a refusal."""
+    """Learn the rows that the demonstrator drives, with a null-space policy, in the features with the largest
+    likelihood.
+
+    Args:
+        views: Views of the requested features.
+        settings: Settings of the fit.
+
+    Returns:
+        Likeliest rows; or a refusal.
+    """
     table, learn = views[0].table, _separate if settings.estimator == "separate" else _joint
     best: Any = _unidentifiable(table, settings)
     for v in () if best else [v for v in views if v.r == views[0].r]:
         try:
             one = learn(v, settings)
         except LinAlgError:
-            why = "the motion is too short or too much alike for a policy model: move further, and differently"
+            why = "the motion is too short or too uniform for a policy model: move further, and vary it"
             one = NotIdentifiableError(why, code="too-few-samples")
         if not isinstance(best, Imposed) or (isinstance(one, Imposed) and one.nats > best.nats + LEAST_GAIN):
             best = one
     if not isinstance(best, Imposed):
         return best
     if settings.estimator == "auto":
-        rows = levels_on(best.view, table.wholes).directions[: len(best.fit.rows)]
-        d = Data(best.view, (), 0, _few(table, MOST))
-        if best.held_out > EXPLAINED or best.nats <= PolicyFit(d, orthonormal_rows(rows)).nats(d.floor):
+        rows = view_levels(best.view, table.wholes).directions[: len(best.fit.rows)]
+        d = Data(best.view, (), 0, _subsample(table, FIT_SIZE))
+        if best.held_out > UNEXPLAINED or best.nats <= PolicyFit(d, orthonormal_rows(rows)).nats(d.floor):
             return NotIdentifiableError("no policy of the posture explains this motion", code="no-task")
-    return _doubted(best, settings)
+    return _add_warnings(best, settings)
 
 
 def _unidentifiable(table: Table, settings: Settings) -> NotIdentifiableError | None:
-    """Return why nothing in the recordings tells the policy from the task; None if something may."""
+    """Return the reason why the recordings cannot separate policy and task; None if there is none."""
     (n, nv), s, model = table.u.shape, settings.n_constraints or 1, settings.policy_model
-    joint, known = settings.estimator != "separate", ", ".join(map(repr, MODELS))
+    joint, names = settings.estimator != "separate", ", ".join(map(repr, MODELS))
     differ = "from other starts to other targets"
-    one = "one trajectory does not show which part of it is steered on purpose: give several"
-    same = f"the {len(table.moved)} recordings repeat one motion, which shows no more than one of them: give some that"
+    one = "one trajectory does not show which part of it is driven on purpose: give several"
+    same = f"the {len(table.moved)} recordings repeat one motion and show no more than one of them: give some that"
     reasons = (
-        ("policy-model", model not in MODELS, f"unknown policy model {model!r}: use {known}"),
+        ("policy-model", model not in MODELS, f"unknown policy model {model!r}: use {names}"),
         ("no-freedom", s >= nv, f"{s} constraints leave no null space for {nv} joints"),
         ("one-trajectory", joint and len(table.moved) < 2, f"{one}, {differ}"),
         ("repeated-motion", joint and is_one_path(table), f"{same} differ, {differ}"),
@@ -401,116 +482,138 @@ def _unidentifiable(table: Table, settings: Settings) -> NotIdentifiableError | 
 
 
 def is_one_path(table: Table) -> bool:
-    """Return True for one motion that is repeated: it shows a policy no configuration beside its path."""
-    kept: list[cKDTree] = []
+    """Return True if all recordings repeat one motion: they show the policy at no configuration off its path.
+
+    Args:
+        table: Samples.
+    """
+    # largest RMS distance from a path that counts as a repetition, over the standard deviation of the motion
+    same = 0.15
+    paths: list[cKDTree] = []
     for t in table.moved:
-        few, most = t.q[:: max(1, len(t) // 100)], SAME_PATH * float(np.linalg.norm(np.std(t.q, axis=0)))
-        if not any(np.sqrt(np.mean(path.query(few)[0] ** 2)) < most for path in kept):
-            kept.append(cKDTree(np.linspace(few[:-1], few[1:], 5).reshape(-1, t.q.shape[1])))
-    return len(kept) < min(3, len(table.moved))
+        few, most = t.q[:: max(1, len(t) // 100)], same * float(np.linalg.norm(np.std(t.q, axis=0)))
+        if not any(np.sqrt(np.mean(path.query(few)[0] ** 2)) < most for path in paths):
+            paths.append(cKDTree(np.linspace(few[:-1], few[1:], 5).reshape(-1, t.q.shape[1])))
+    return len(paths) < min(3, len(table.moved))
 
 
-def _few(table: Table, most: int, own: bool = False) -> np.ndarray:
-    """Return at most so many velocities, evenly; where recordings have offsets of their own, of few recordings."""
-    few = np.flatnonzero(table.recording < (OWN_RECORDINGS if own else np.inf))
-    return few[:: -(-len(few) * table.u.shape[1] // (most // (3 if own else 1)))]
+def _subsample(table: Table, most: int, offsets: bool = False) -> np.ndarray:
+    """Return evenly spaced samples with at most `most` velocities; with offsets of recordings, of few recordings."""
+    most_recordings = 16  # largest number of recordings in the search if each has an offset of its own
+    few = np.flatnonzero(table.recording < (most_recordings if offsets else np.inf))
+    return few[:: -(-len(few) * table.u.shape[1] // (most // (3 if offsets else 1)))]
 
 
 def _joint(v: View, settings: Settings) -> Imposed | NotIdentifiableError:
-    """Return the most likely Lambda on all samples, with the number of rows that is likeliest on few; or a refusal."""
+    """Return the most likely Lambda on all samples, with the number of rows that is likeliest on few samples."""
+    # models for motion without noise, with the fewest parameters first
+    exact = ("affine", "harmonic1", "quadratic", "harmonic2", "cubic", "quartic", "quintic")
+    # largest number of parameters of the policy: the time of a step grows with their cube; velocities in the search
+    max_columns, n_compared = 400, 4500
     table, model, seed, nv = v.table, settings.policy_model, settings.seed, v.table.u.shape[1]
-    own, auto, names = model == "affine-offset", model == "auto", list(MODELS[model])
-    few, rng = _few(table, COMPARED, own), np.random.default_rng(seed)
-    while auto and nv * sum(regressors(table, g, seed).shape[1] for g in names) > MOST_COLUMNS:
+    has_offsets, auto, names = model == "affine-offset", model == "auto", list(MODELS[model])
+    few, rng = _subsample(table, n_compared, has_offsets), np.random.default_rng(seed)
+    while auto and nv * sum(regressors(table, g, seed).shape[1] for g in names) > max_columns:
         names.pop()
 
-    if settings.estimator == "auto":  # where a plain policy foretells hardly anything, no richer one is tried
+    if settings.estimator == "auto":  # if an affine policy predicts hardly anything, richer ones are not fitted
         plain = search(Data(v, MODELS["affine"], seed, few[:: -(-len(few) // 500)]), rng)
-        if all(fit.held_out > 2.0 * EXPLAINED * fit.energy for fit in plain):
+        if all(fit.held_out > 2.0 * UNEXPLAINED * fit.energy for fit in plain):
             return NotIdentifiableError("no policy of the posture explains this motion", code="no-task")
 
     def searched(mixing: np.ndarray | None) -> tuple[list[PolicyFit], PolicyFit]:
         fits, s = search(Data(v, names, seed, few, mixing), rng), settings.n_constraints
-        return fits, (likeliest(fits) if s is None or s >= len(fits) else fits[s]).best()
+        return fits, (select_likeliest(fits) if s is None or s >= len(fits) else fits[s]).best()
 
-    fits, chosen = searched(None)
-    floor, energy = chosen.d.floor, len(few) * nv * chosen.d.mean_square
-    noisy = len(few) * chosen.noise > 1e-2 * RESOLVED * energy  # else least squares answer, far below what is resolved
-    if noisy and (mixing := mixing_of(table)) is not None:
-        fits, chosen = max((fits, chosen), searched(mixing), key=lambda found: found[1].nats(floor))
-    if len(chosen.rows) == 0:
-        why = "a policy of the posture alone explains the motion, nothing is steered: record more, from other starts"
+    fits, best = searched(None)
+    floor, energy = best.d.floor, len(few) * nv * best.d.mean_square
+    noisy = len(few) * best.noise > 1e-2 * RESOLUTION * energy  # else by least squares, far below this resolution
+    if noisy and (mixing := noise_whitening(table)) is not None:
+        fits, best = max((fits, best), searched(mixing), key=lambda found: found[1].nats(floor))
+    if len(best.rows) == 0:
+        why = "a policy of the posture explains all motion, no direction is driven: record more, from other starts"
         return NotIdentifiableError(why, code="no-task")
-    if auto and chosen.noise > chosen.d.enough:
-        some = _few(table, COMPARED, True)
-        shared, apart = (PolicyFit(Data(v, g, seed, some), chosen.rows) for g in (names, MODELS["affine-offset"]))
+    if auto and best.noise > best.d.enough:
+        some = _subsample(table, n_compared, True)
+        shared, apart = (PolicyFit(Data(v, g, seed, some), best.rows) for g in (names, MODELS["affine-offset"]))
         if apart.nats(apart.d.floor) > shared.nats(apart.d.floor):  # a rest posture of each recording explains more
             return _joint(v, replace(settings, policy_model="affine-offset"))
-    names = [g for i, g in enumerate(names) if i in chosen.d.grades]
-    fit, name = PolicyFit(Data(v, names, seed, _few(table, MOST), chosen.d.mixing), chosen.rows), ""
+    names = [g for i, g in enumerate(names) if i in best.d.grades]
+    fit, name = PolicyFit(Data(v, names, seed, _subsample(table, FIT_SIZE), best.d.mixing), best.rows), ""
     if noisy:
         fit = fit.best()
         used = [g for g, number in zip(names, fit.determined, strict=False) if number >= 1.0] or names
         name = "+".join([g for g in used if g in POLYNOMIALS][-1:] + [g for g in used if g not in POLYNOMIALS])
     nats = fit.nats(floor)
-    for one in () if noisy else EXACT if auto else (model,):  # the first that leaves rounding alone, or little
+    for one in () if noisy else exact if auto else (model,):  # until the residual is rounding, or little more
         d = Data(v, MODELS[one], seed, few)
-        if not fit.exact or (fit.cost > LEAST**2 * energy and nv * d.beta.shape[1] <= MOST_COLUMNS):
-            there = PolicyFit(d, chosen.rows, exact=True).best(30)
+        if not fit.exact or (fit.cost > MIN_VARIANCE**2 * energy and nv * d.beta.shape[1] <= max_columns):
+            there = PolicyFit(d, best.rows, exact=True).best(30)
             fit, name = (there, one) if not fit.exact or there.cost < 0.5 * fit.cost else (fit, name)
     name = name if auto else model.replace("rbf", "rbf32")
     share, weak = fit.held_out / fit.energy, math.sqrt(1.0 + 6.0 * math.sqrt(2.0 / len(few)))
-    left = [math.sqrt(max(f.held_out, LEAST * energy) / f.n_residuals) for f in fits]
-    gaps = {k: left[k - 1] / left[k] for k in range(1, len(left))}
-    return Imposed(v, fit, gaps, max(len(likeliest(fits).rows), 1), weak, name, {name: share}, share, nats)
+    rms = [math.sqrt(max(f.held_out, MIN_VARIANCE * energy) / f.n_residuals) for f in fits]
+    gaps = {k: rms[k - 1] / rms[k] for k in range(1, len(rms))}
+    return Imposed(v, fit, gaps, max(len(select_likeliest(fits).rows), 1), weak, name, {name: share}, share, nats)
 
 
-def _doubted(a: Imposed, settings: Settings) -> Imposed | NotIdentifiableError:
-    """Return the answer with its uncertainty and its doubts; or a refusal."""
-    rows, given, s = a.fit.rows, settings.n_constraints is not None, counted(len(a.fit.rows), "row")
+def _add_warnings(a: Imposed, settings: Settings) -> Imposed | NotIdentifiableError:
+    """Return the answer with its uncertainty and warnings; or a refusal."""
+    rows, is_given, s = a.fit.rows, settings.n_constraints is not None, counted(len(a.fit.rows), "row")
     gap, better = a.gaps.get(len(rows), 0.0), a.gaps.get(a.likeliest, 0.0)
     for part, B in a.fit.errors(np.random.default_rng(settings.seed)).items():
-        a.uncertainty[part] = float(np.degrees(np.quantile(angles(rows, a.view.W, B), STATED)))
+        a.uncertainty[part] = float(np.degrees(np.quantile(angles(rows, a.view.W, B), LEVEL)))
         total = B if a.errors is None else B + a.errors.noise
         a.errors = Errors(total, 0.0 * B, np.zeros((len(B), a.view.table.u.shape[1])))
     if a.estimator == "joint" and (deg := math.hypot(*a.uncertainty.values())) > MOST_UNCERTAIN:
-        why = f"the rows are known to {deg:.0f} degrees only, {MOST_UNCERTAIN:g} is the most that is an answer"
+        why = f"the rows are known to {deg:.0f} degrees only, at most {MOST_UNCERTAIN:g} are accepted"
         return NotIdentifiableError(f"{why}: record more, from other starts to other targets", code="uncertain")
-    if not given and gap < a.weak_gap:
-        why = f"no constraint is shown: the gap is {gap:.2g} for {s}, {a.weak_gap:.3g} is the least that counts"
+    if not is_given and gap < a.weak_gap:
+        why = f"no clear constraint: the gap is {gap:.2g} for {s}, at least {a.weak_gap:.3g} is needed"
         return NotIdentifiableError(why, code="weak-gap", gaps=a.gaps)
     if gap < CLEAR_GAP:
         why = "the constraint may be soft, or the recordings noisy"
         a.warnings.append(f"weak gap: {gap:.2g} for {s}, {CLEAR_GAP:g} is clear; {why}")
-    if given and a.likeliest != len(rows) and better >= a.weak_gap:
+    if is_given and a.likeliest != len(rows) and better >= a.weak_gap:
         a.warnings.append(f"{s} learnt, but the gap supports {a.likeliest}: {better:.3g} against {gap:.3g}")
-    if a.held_out > EXPLAINED and a.estimator == "joint":
-        left = f"{100 * (1 - a.held_out):.0f} % of left-out trajectories"
-        a.warnings.append(f"the policy predicts only {left}: the null-space motion is not a function of the posture")
+    if a.held_out > UNEXPLAINED and a.estimator == "joint":
+        part = f"{100 * (1 - a.held_out):.0f} % of left-out trajectories"
+        a.warnings.append(f"the policy predicts only {part}: the null-space motion is not a function of the posture")
     return a
 
 
 # ------------------------------------------------------------------------------------------ the method of the paper
 
 
-def separated(view: View, seed: int) -> np.ndarray | NotIdentifiableError:
-    """Return the null-space part of the motion (n, nv), by consistency alone; or a refusal."""
+def separate_null_motion(view: View, seed: int) -> np.ndarray | NotIdentifiableError:
+    """Separate the null-space part of the motion, by consistency alone (equation (8), see the module).
+
+    Args:
+        view: View of the rows.
+        seed: Seed of the choice of the radial functions.
+
+    Returns:
+        Array (n, nv); or a refusal.
+    """
+    # least number of radial functions; for each stage, the least singular value of the regressors, relative to the
+    # largest, and the relative gain at which the stage ends
+    fewest, stages = 4, ((1e-6, 1e-3), (1e-8, 1e-3), (1e-10, 1e-9))
     u, n = view.table.u, min(MOST_CENTRES, len(view.table.q) // SAMPLES_PER_CENTRE)
-    if n < FEWEST_CENTRES:
+    if n < fewest:
         why = f"{len(u)} samples are too few to separate task and null-space part: "
-        return NotIdentifiableError(f"{why}{FEWEST_CENTRES * SAMPLES_PER_CENTRE} are needed", code="too-few-samples")
+        return NotIdentifiableError(f"{why}{fewest * SAMPLES_PER_CENTRE} are needed", code="too-few-samples")
     beta, few = regressors(view.table, f"rbf{n}", seed), slice(None, None, -(-len(u) // 4000))
     # orthonormal combinations of the regressors, from coarse to fine: the finest alone ends in poor minima
     basis, sigma, Vt = np.linalg.svd(beta[few], full_matrices=False)
-    x = (basis[:, sigma > STAGES[0][0] * sigma[0]].T @ u[few]).reshape(-1)
-    for share, gain in STAGES:
-        own = basis[:, sigma > share * sigma[0]]
-        x = np.append(x, np.zeros(own.shape[1] * u.shape[1] - x.size))
-        damping, (e, J) = 1e-3, residual_and_jacobian(x, own, u[few])
+    x = (basis[:, sigma > stages[0][0] * sigma[0]].T @ u[few]).reshape(-1)
+    for share, gain in stages:
+        finest = basis[:, sigma > share * sigma[0]]
+        x = np.append(x, np.zeros(finest.shape[1] * u.shape[1] - x.size))
+        damping, (e, J) = 1e-3, residual_and_jacobian(x, finest, u[few])
         for _ in range(200):
             H = J.T @ J  # by Levenberg and Marquardt
             there = x - np.linalg.solve(H + damping * np.diag(H).mean() * np.eye(len(H)), J.T @ e)
-            after = residual_and_jacobian(there, own, u[few])
+            after = residual_and_jacobian(there, finest, u[few])
             less = 1.0 - float(np.sum(after[0] ** 2)) / max(float(e @ e), TINY)
             damping *= 0.1 if less > 0.0 else 10.0
             x, (e, J) = (there, after) if less > 0.0 else (x, (e, J))
@@ -518,14 +621,23 @@ def separated(view: View, seed: int) -> np.ndarray | NotIdentifiableError:
                 break
     k = x.size // u.shape[1]
     w = beta @ ((Vt[:k].T / sigma[:k]) @ x.reshape(k, -1))
-    if np.sum(w**2) < NONE * np.sum(u**2):
+    if np.sum(w**2) < ZERO * np.sum(u**2):
         use = advice("; use {}", "estimator='joint'", "--estimator joint")
-        return NotIdentifiableError(f"no null-space motion is left beside the task{use}", code="no-null-motion")
+        return NotIdentifiableError(f"no null-space motion remains without the task{use}", code="no-null-motion")
     return w
 
 
 def residual_and_jacobian(weights: np.ndarray, basis: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return e = w^ . u - |w~| and its derivative by the weights, d e / d w~ = (u - (w^ . u) w^) / |w~| - w^."""
+    """Return e = w^ . u - |w~| and its derivative by the weights, d e / d w~ = (u - (w^ . u) w^) / |w~| - w^.
+
+    Args:
+        weights: Vector (k nv,) of weights of w~ = basis weights.
+        basis: Array (n, k) of regressors.
+        u: Array (n, nv) of joint velocities [rad/s or m/s].
+
+    Returns:
+        Residual (n,) and its derivative (n, k nv).
+    """
     w = basis @ weights.reshape(basis.shape[1], -1)
     length = np.maximum(np.linalg.norm(w, axis=1, keepdims=True), TINY**0.5)
     direction = w / length
@@ -536,13 +648,13 @@ def residual_and_jacobian(weights: np.ndarray, basis: np.ndarray, u: np.ndarray)
 
 def _separate(v: View, settings: Settings) -> Imposed | NotIdentifiableError:
     """Separate u into task and null-space part, then learn Lambda from A w~ = 0."""
-    w, table, u = separated(v, settings.seed), copy(v.table), v.table.u
+    w, table, u = separate_null_motion(v, settings.seed), copy(v.table), v.table.u
     if isinstance(w, NotIdentifiableError):
         return w
     table.u, name = w, f"rbf{min(MOST_CENTRES, len(w) // SAMPLES_PER_CENTRE)}"
     null, length = View(v.features, table), np.maximum(np.linalg.norm(w, axis=1), TINY**0.5)
     cost = float(np.sum((np.einsum("nv,nv->n", w, u) / length - length) ** 2) / np.sum(u**2))
-    levels, directions, gaps = levels_on(null, table.wholes)
+    levels, directions, gaps = view_levels(null, table.wholes)
     likely = max(gaps, key=lambda s: gaps[s])
     rows = orthonormal_rows(directions[: settings.n_constraints or likely])
     fit = PolicyFit(Data(null, (), 0, np.arange(len(w))), rows).best()

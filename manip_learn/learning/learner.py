@@ -1,4 +1,4 @@
-"""From demonstrations to a constraint, its evidence, and the skill that was shown."""
+"""Learner of a constraint, its evidence, and the demonstrated skill."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features.feature_map import FeatureMap
 from manip_learn.constraint.skill import Skill
 from manip_learn.errors import FeatureError, NotFittedError, NumberOfConstraintsError, RecordingError, advice, an
-from manip_learn.learning.answer import Found, advised, learn
+from manip_learn.learning.answer import Answers, add_advice, learn
 from manip_learn.learning.repeats import IndependentRecordings
-from manip_learn.learning.report import Context, LearningReport, reports
-from manip_learn.learning.skill import skill_of
+from manip_learn.learning.report import Context, LearningReport, make_reports
+from manip_learn.learning.skill import build_skill
 from manip_learn.learning.table import (
-    BELIEVED,
     MOST_SAMPLES,
+    STRENGTH,
     SWITCH,
     ArmErrors,
     EstimatorName,
@@ -39,8 +39,8 @@ from manip_learn.robot import html_card
 from manip_learn.robot.robot import Robot
 
 Switch = Literal["auto", "off"]
-_LEARNT = ("constraint_", "constraints_", "report_", "reports_", "skill_")  # exist after `fit` only
-# of arguments, until 0.4
+_LEARNT = ("constraint_", "constraints_", "report_", "reports_", "skill_")  # attributes that exist after `fit` only
+# former names of arguments, until 0.4
 _ALIASES = {"zeros": "joint_offset_std", "links": "link_error_std", "most_samples": "max_samples"}
 _ALIASES |= {"switch": "switching_cost", "habits": "keep_habits"}
 
@@ -50,7 +50,7 @@ class ConstraintLearner:
     """Learner of the selection matrix Lambda in A(q) = Lambda Phi(q) from demonstrations.
 
     The whole twist of the end effector is searched and fitted, whatever axes the features have; the axes select the
-    rows of `constraint_`, and `skill_` keeps the whole.
+    rows of `constraint_`, and `skill_` keeps all rows.
 
     Args:
         features: Phi; or several candidates (e.g. the same axes in the world and in the tool frame), among which the
@@ -87,7 +87,7 @@ class ConstraintLearner:
         constraints_: All constraints, clear ones first, then by support.
         report_: Evidence for the first constraint, a `LearningReport`.
         reports_: One report per constraint.
-        skill_: All constraints with all their rows, in the order in which they were shown: a `Skill`.
+        skill_: All constraints with all their rows, in the demonstrated order: a `Skill`.
 
     Raises:
         FeatureError: No features, features of another type, or settings out of range.
@@ -122,7 +122,7 @@ class ConstraintLearner:
         velocities: Velocities = "auto",
         phases: Switch = "auto",
         mechanism: Switch = "auto",
-        strength: float = BELIEVED,
+        strength: float = STRENGTH,
         switching_cost: float = SWITCH,
         keep_habits: bool = False,
         max_samples: int = MOST_SAMPLES,
@@ -151,8 +151,8 @@ class ConstraintLearner:
         for name, allowed in (choices | {"velocities": get_args(Velocities)}).items():
             if (value := getattr(self, name)) not in allowed:
                 called = advice("{}", name, f"--{name}") or name
-                said = " or ".join(map(repr, allowed)) if len(allowed) < 3 else f"one of {', '.join(allowed)}"
-                raise FeatureError(f"{called} must be {said}, not {value!r}")
+                options = " or ".join(map(repr, allowed)) if len(allowed) < 3 else f"one of {', '.join(allowed)}"
+                raise FeatureError(f"{called} must be {options}, not {value!r}")
         least = {"strength": (1, ""), "switching_cost": (0, " of nats")}
         least |= {"joint_offset_std": (0, " of degrees"), "link_error_std": (0, " of mm and mrad")}
         for name, (lowest, unit) in least.items():
@@ -166,11 +166,11 @@ class ConstraintLearner:
             raise FeatureError(f"n_constraints must be an integer or None, got {s!r}")
         if not self._feature_maps:
             raise FeatureError("give the learner at least one feature map")
-        for given in self._feature_maps:
-            if not isinstance(given, FeatureMap):
-                raise FeatureError(f'give FrameJacobian(robot, frame="tool") where features belong: got {an(given)}')
-            if s is not None and not 1 <= s <= (most := min(given.n_rows, given.nv)):
-                raise NumberOfConstraintsError(s, most, repr(given))
+        for features in self._feature_maps:
+            if not isinstance(features, FeatureMap):
+                raise FeatureError(f'features must be e.g. FrameJacobian(robot, frame="tool"), got {an(features)}')
+            if s is not None and not 1 <= s <= (most := min(features.n_rows, features.nv)):
+                raise NumberOfConstraintsError(s, most, repr(features))
 
     def fit(self, demonstrations: Given, *others: object, client: Any = None, progress: Progress | None = None) -> Self:
         """Learn from demonstrations; a second fit replaces the first.
@@ -182,21 +182,21 @@ class ConstraintLearner:
             demonstrations: `Demonstrations`; or a trajectory; or arrays `(time, q)` or `(time, q, u)`, one column per
                 joint in the robot's order [s, rad or m]; or a data frame of pandas; or a list of these; or an iterable
                 of motions, which is read once; or a `manip_learn.RecordingSource`, for files larger than memory.
-            others: None; `fit(q, u)`, the form of other libraries, raises an error with the correct call.
+            others: Must be empty; `fit(q, u)`, the form of other libraries, raises an error with the correct call.
             client: A `dask.distributed.Client` whose workers read and subsample the parts of a source; the result does
-                not depend on their number.
-            progress: Called with the name of each stage and its completed share, 0 to 1.
+                not depend on their number. None to read in this process.
+            progress: Function of the name of each stage and its completed share, 0 to 1; None for none.
 
         Returns:
             The learner itself.
 
         Raises:
             NotIdentifiableError: The demonstrations do not determine a constraint; the message gives the reason.
-            RecordingError: They cannot be used (no velocities to be had, outliers, another robot's joints).
-            ManipLearnError: The workers of the client or its scheduler died.
+            RecordingError: They cannot be used (velocities cannot be derived, outliers, another robot's joints).
+            ManipLearnError: The workers of the client died.
         """
-        for learnt in _LEARNT:  # a fit that raises must not leave the result of other demonstrations behind
-            vars(self).pop(learnt, None)
+        for name_of_result in _LEARNT:  # a fit that raises must not leave the result of other demonstrations behind
+            vars(self).pop(name_of_result, None)
         if others:  # fit(X, y), as other libraries have it
             got = " and ".join(map(an, (demonstrations, *others)))
             why = f"fit takes all recordings as one argument, got {got}: write fit((time, q, u)), or a list of these"
@@ -207,12 +207,12 @@ class ConstraintLearner:
                 check_joints(self._robot.joint_names, robot)
         derive = partial(with_velocities, robot=self._robot, velocities=self.velocities)
         choose = partial(EvenChoice, self.max_samples, derive)
-        given = recordings_given(demonstrations, self._robot, self._feature_maps[0].nv, self.velocities)
-        if not isinstance(given, Demonstrations):
-            given = read_evenly(choose, given, client, progress).demonstrations
+        recorded = recordings_given(demonstrations, self._robot, self._feature_maps[0].nv, self.velocities)
+        if not isinstance(recorded, Demonstrations):
+            recorded = read_evenly(choose, recorded, client, progress).demonstrations
         with one_thread():  # independent recordings -> one table -> hypotheses -> answers -> reports and a skill
             started, progress = time.perf_counter(), progress or (lambda stage, share: None)
-            recordings = IndependentRecordings.of(given)
+            recordings = IndependentRecordings.of(recorded)
             derived = derive(recordings.demonstrations)
             refuse_unusable(recordings.demonstrations, derived, self._feature_maps[0])
             exact = self._robot is None or all(t.exact for t in recordings.demonstrations)
@@ -222,20 +222,20 @@ class ConstraintLearner:
                 recordings = recordings._replace(origins=origins)
             recordings, table = recordings._replace(demonstrations=derived), Table(list(derived))
             arm = ArmErrors(math.radians(self.joint_offset_std), 1e-3 * self.link_error_std)
-            chosen: dict[str, Any] = {"arm": arm, "seed": self.seed, "asked": tuple(self._feature_maps)}
-            chosen |= {"phases": self.phases == "auto", "mechanism": self.mechanism == "auto"}
-            chosen |= {"strength": self.strength, "switch": self.switching_cost, "habits": self.keep_habits}
-            chosen |= {"by_rates": exact or self.velocities == "recorded"}
-            settings = Settings(self.n_constraints, self.estimator, self.policy_model, **chosen)
-            found = learn(table, settings, progress)
-            if not isinstance(found, Found):
-                raise advised(found, table, settings, recordings.warnings)
+            options: dict[str, Any] = {"arm": arm, "seed": self.seed, "asked": tuple(self._feature_maps)}
+            options |= {"phases": self.phases == "auto", "mechanism": self.mechanism == "auto"}
+            options |= {"strength": self.strength, "switch": self.switching_cost, "habits": self.keep_habits}
+            options |= {"by_rates": exact or self.velocities == "recorded"}
+            settings = Settings(self.n_constraints, self.estimator, self.policy_model, **options)
+            result = learn(table, settings, progress)
+            if not isinstance(result, Answers):
+                raise add_advice(result, table, settings, recordings.warnings)
             # for the provenance; the features are stored in the constraint itself
             names = [name for name in inspect.signature(type(self)).parameters if name not in ("features", "renamed")]
             context = Context(table, recordings, {name: getattr(self, name) for name in names}, started)
-            wholes, self.constraints_, self.reports_ = zip(*reports(found, context), strict=True)
+            wholes, self.constraints_, self.reports_ = zip(*make_reports(result, context), strict=True)
             self.constraint_, self.report_ = self.constraints_[0], self.reports_[0]
-            self.skill_ = skill_of(wholes, found, table)
+            self.skill_ = build_skill(wholes, result, table)
             progress("learning", 1.0)
         return self
 

@@ -1,9 +1,9 @@
 """Mechanism of a Lambda with its place and uncertainty, its grip, and the rows in selected axes.
 
-It is read from rows in which a mechanism is constant, or is a shape without any. The search uses the position of the
-hand. A mechanism may also rotate the hand, keep its orientation, or leave it free: the orientations in the stretches
-that were found tell which. Where the position does not move about an axis (a knob, a peg), the rows of the whole twist
-are fitted to displacements instead. Nothing is searched twice, and rotation is never compared with translation.
+It follows from rows in which a mechanism is constant, or is a shape without such rows. The search uses the position of
+the hand. A mechanism may also rotate the hand, keep its orientation, or leave it free: the orientations in the
+stretches decide. Where the position does not move about an axis (a knob, a peg), the rows of the whole twist are fitted
+to displacements instead. Nothing is searched twice, and rotation is never compared with translation.
 """
 
 from __future__ import annotations
@@ -36,13 +36,13 @@ from manip_learn.constraint.mechanism import (
 )
 from manip_learn.constraint.place import Curve, Place, across
 from manip_learn.errors import FeatureError
-from manip_learn.learning.fit import LEAST_RAD, STATED, Errors, Motion, RowFit, autocorrelation
+from manip_learn.learning.fit import ACCURACY, LEVEL, Errors, Motion, RowFit, autocorrelation
 from manip_learn.learning.gate import Gate
 from manip_learn.learning.table import (
     CLEAR_GAP,
-    FARTHEST,
     LEAST_GAIN,
     LEAST_MOTION,
+    MAX_RANGE,
     OVER_NOISE,
     WEAK_GAP,
     Settings,
@@ -52,20 +52,22 @@ from manip_learn.learning.table import (
 from manip_learn.linalg import null_basis, orthonormal_rows, pivoted_rows
 from manip_learn.recordings.trajectory import evenly
 
-FEW = 200  # draws of an error for which a place is read again
-POOR = 1.0  # [deg] error of the direction, or of the place as seen from the hand, above which it is known badly
-PIECES = (2, 4, 8, 16, 32)  # of a spline; as many as foretell the other recordings best
-KNOWN = {"axis": slice(0, 3), "point": slice(3, 6), "point-across": slice(3, 6), "pitch": slice(6, 7)}
+SLICES = {"axis": slice(0, 3), "point": slice(3, 6), "point-across": slice(3, 6), "pitch": slice(6, 7)}
 Places = Float[np.ndarray, "n 3"]
-# [deg] RMS orientation of a firmly held hand about the mechanism: grips of a weld in simulation give way by 0.03
-# to 1.5, hands kept straight by habit by 1.6 to 5
-GIVES_WAY = 1.5
-KEPT = OVER_NOISE * GIVES_WAY  # above which a hand was free to turn: loose grips reach 5.9 to 30
+# [deg] RMS rotation of a firmly held hand relative to the mechanism: simulated welds give way by 0.03 to 1.5, hands
+# kept straight by habit by 1.6 to 5
+GRIP_PLAY = 1.5
+LOOSE = OVER_NOISE * GRIP_PLAY  # [deg] largest rotation of a hand that is not free to turn: loose grips reach 5.9 to 30
 
 
 @dataclass(frozen=True, eq=False)
-class Placed:
-    """Mechanism with its kind, its place, and the error of the direction in which the hand moves or is held [deg]."""
+class Placement:
+    """Mechanism with its kind, its place, and the error of the direction in which the hand moves or is held [deg].
+
+    Attributes:
+        mechanism, kind, place: Mechanism, its kind and its place.
+        off_deg: Error of the direction that is not exceeded in 68 % of cases [deg]; None without draws of the error.
+    """
 
     mechanism: Mechanism
     kind: MechanismKind
@@ -75,11 +77,13 @@ class Placed:
     @property
     def doubt(self) -> str:
         """Warning about a poorly known place; empty for others."""
+        # [deg] largest error of the direction, or of the place as seen from the hand, without a warning
+        largest = 1.0
         m = self.mechanism
         if m.radius is None or m.arc is None:
             return ""
         arc, point = math.degrees(m.arc), m.uncertainty.get("point", 0.0)
-        worst = max(self.off_deg or 0.0, math.degrees(point / max(m.radius, 0.3))) / POOR  # within 30 cm to 5 mm
+        worst = max(self.off_deg or 0.0, math.degrees(point / max(m.radius, 0.3))) / largest  # within 30 cm to 5 mm
         if worst <= 1.0:
             return ""
         needed = min(2.0 * arc * math.sqrt(worst), 90.0)  # half of it is left then
@@ -87,38 +91,48 @@ class Placed:
         return f"{how}: it looks like {m.sentence}, but its place is known badly, to {1e3 * point:.2g} mm"
 
     def rows(self, view: View) -> tuple[FeatureMap, np.ndarray]:
-        """Return Phi and Lambda of the mechanism, without rows that this arm cannot move."""
+        """Return Phi and Lambda of the mechanism, without rows that this arm cannot move.
+
+        Args:
+            view: View with the features of the hand.
+        """
         features, selection = rows_of(self.kind, self.place, self.mechanism.radius, view.features.twist)
         if not isinstance(features, MechanismRows):
             return features, selection
-        features = movable(features, view.table.q)
+        features = movable_rows(features, view.table.q)
         return features, np.eye(features.n_rows)
 
 
-def movable(features: MechanismRows, q: np.ndarray) -> MechanismRows:
-    """Return the rows of a mechanism that the arm can move at postures q (n, nq)."""
+def movable_rows(features: MechanismRows, q: np.ndarray) -> MechanismRows:
+    """Return the rows of a mechanism that the arm can move at postures q (n, nq).
+
+    Args:
+        features: Rows of a mechanism.
+        q: Array (n, nq) of postures.
+    """
     sizes = np.linalg.norm(features.batch(q[evenly(len(q), 100)]), axis=2).max(axis=0)
     return features.with_rows([n for n, x in zip(features.row_names, sizes, strict=True) if x > 1e-6], features.radius)
 
 
-def placed(fit: RowFit, errors: Errors | None) -> Placed | None:
+def locate(fit: RowFit, errors: Errors | None) -> Placement | None:
     """Return the mechanism of fitted rows, with the uncertainty of its place; None if there is none.
 
     Args:
         fit: Fit of the rows.
         errors: Draws of their errors; None for no uncertainty.
     """
-    if (read := kind_of(fit)) is None:
+    n_draws = 200  # number of draws of the error for which the place is evaluated
+    if (best := kind_of(fit)) is None:
         return None
-    kind, place, p = read[0], read[1].canonical(), fit.motion.poses[:, :3, 3]
-    if kind.type in ("line", "plane"):  # where the hand was, not where the axes of the rows begin
+    kind, place, p = best[0], best[1].canonical(), fit.motion.poses[:, :3, 3]
+    if kind.type in ("line", "plane"):  # the mean position of the hand, not the origin of the axes of the rows
         place = replace(place, point=p.mean(axis=0))
-    radius = arc_of(kind, place, p)
-    if radius is not None and not kind.name.endswith("firm") and radius[0] > FARTHEST:
+    radius = hand_arc(kind, place, p)
+    if radius is not None and not kind.name.endswith("firm") and radius[0] > MAX_RANGE:
         return None
-    off, few = [], p[evenly(len(p), FEW)]
+    off, few = [], p[evenly(len(p), n_draws)]
     ahead = headings(kind, place, few)
-    for B in (errors.noise + errors.arm)[:FEW] if errors is not None else ():
+    for B in (errors.noise + errors.arm)[:n_draws] if errors is not None else ():
         rows = fit.rows + B.reshape(len(fit.rows), -1) @ fit.perp
         other = kind_of(fit, np.linalg.qr(rows.T)[0].T)
         if other is None or other[0].type != kind.type:
@@ -127,28 +141,36 @@ def placed(fit: RowFit, errors: Errors | None) -> Placed | None:
         d, turned = there.point - place.point, np.linalg.norm(np.cross(place.axis, there.axis))
         if "point-across" in kind.unknowns:
             d = d - (d @ place.axis) * place.axis
-        away = arc_of(kind, there, p)
+        away = hand_arc(kind, there, p)
         wider = abs(away[0] - radius[0]) if away and radius else 0.0
         axis = math.degrees(math.atan2(turned, abs(place.axis @ there.axis)))
         aside = np.degrees(np.arccos(np.clip(np.abs(np.sum(ahead * headings(kind, there, few), axis=1)), 0.0, 1.0)))
         off.append((axis, float(np.linalg.norm(d)), wider, abs(there.pitch - place.pitch), float(np.median(aside))))
-    told = {name.removesuffix("-across") for name in kind.unknowns} | ({"radius"} if radius else set())
+    quantities = {name.removesuffix("-across") for name in kind.unknowns} | ({"radius"} if radius else set())
     # axis [deg], point and radius [m], pitch [m/rad], direction [deg]
-    sizes: list[float] = np.quantile(off, STATED, axis=0).tolist() if off else []
+    sizes: list[float] = np.quantile(off, LEVEL, axis=0).tolist() if off else []
     stated = zip(("axis", "point", "radius", "pitch"), sizes, strict=False)
-    uncertainty = {name: size for name, size in stated if name in told}
-    # a single recording does not show its error: a millimetre along the axis does not count
+    uncertainty = {name: size for name, size in stated if name in quantities}
+    # a single recording has no known error: a millimetre along the axis does not count
     error = uncertainty.get("pitch", 1e-3 / radius[1] if radius is not None and errors is None else 0.0)
     if kind.name == "screw, firm" and abs(place.pitch) < max(LEAST_PITCH, 3.0 * error):
         kind = KIND_BY_NAME["hinge, firm"]
         uncertainty.pop("pitch", None)
-    return _placed(kind, place, p, uncertainty, fit, max(sizes[-1], uncertainty.get("axis", 0.0)) if off else None)
+    return _placement(kind, place, p, uncertainty, fit, max(sizes[-1], uncertainty.get("axis", 0.0)) if off else None)
 
 
 def headings(kind: MechanismKind, place: Place, p: Places) -> Places:
-    """Return the unit vectors in which a mechanism moves hands at places p, or holds them where they move in a surface.
+    """Return the directions in which a mechanism moves hands, or holds them where they move in a surface.
 
-    Of a hand on the axis it is the axis.
+    For a hand on the axis it is the axis.
+
+    Args:
+        kind: Kind of the mechanism.
+        place: Its place.
+        p: Positions (n, 3) of the hand [m].
+
+    Returns:
+        Unit vectors (n, 3).
     """
     d = p - place.point
     across, along = d - np.outer(d @ place.axis, place.axis), np.broadcast_to(place.axis, p.shape)
@@ -159,17 +181,22 @@ def headings(kind: MechanismKind, place: Place, p: Places) -> Places:
     return field / np.maximum(np.linalg.norm(field, axis=1, keepdims=True), 1e-12)
 
 
-def _placed(
+def _placement(
     kind: MechanismKind, place: Place, p: Places, uncertainty: dict[str, float], fit: RowFit, off: float | None = None
-) -> Placed:
+) -> Placement:
     """Return the mechanism of a kind at a place, with the radius [m] and the arc [rad] of the hand."""
-    (away, arc), grip = arc_of(kind, place, p) or (None, None), "loose" if kind.orientation == "free" else "firm"
-    known = {"grip": grip, "uncertainty": uncertainty, "arc": arc, **fit.view.features.twist.seen_from}
-    return Placed(mechanism_of(kind, place, away, **known), kind, place, off)
+    (away, arc), grip = hand_arc(kind, place, p) or (None, None), "loose" if kind.orientation == "free" else "firm"
+    facts = {"grip": grip, "uncertainty": uncertainty, "arc": arc, **fit.view.features.twist.seen_from}
+    return Placement(mechanism_of(kind, place, away, **facts), kind, place, off)
 
 
 def kind_of(fit: RowFit, rows: np.ndarray | None = None) -> tuple[MechanismKind, Place] | None:
-    """Return the mechanism of fitted rows, or of others near to them, and its place; None if it is none."""
+    """Return the mechanism of fitted rows, or of others near to them, and its place; None if there is none.
+
+    Args:
+        fit: Fit of the rows.
+        rows: Whitened rows (s, r); None for the fitted ones.
+    """
     view, poses = fit.view, fit.motion.poses
     if poses is None:
         return None
@@ -177,8 +204,17 @@ def kind_of(fit: RowFit, rows: np.ndarray | None = None) -> tuple[MechanismKind,
     return view.features.kind_of(selection, null_basis(view.W).T, poses[:, :3, 3])
 
 
-def arc_of(kind: MechanismKind, place: Place, p: np.ndarray) -> tuple[float, float] | None:
-    """Return the mean distance of the hand from the axis or the centre [m], and its arc [rad]; None without either."""
+def hand_arc(kind: MechanismKind, place: Place, p: np.ndarray) -> tuple[float, float] | None:
+    """Return the mean distance of the hand from the axis or the centre, and its arc.
+
+    Args:
+        kind: Kind of the mechanism.
+        place: Its place.
+        p: Positions (n, 3) of the hand [m].
+
+    Returns:
+        Distance [m] and arc [rad]; None for kinds without axis or centre.
+    """
     if not {"point", "point-across"} & set(kind.unknowns):
         return None
     d = p - place.point
@@ -194,7 +230,7 @@ def arc_of(kind: MechanismKind, place: Place, p: np.ndarray) -> tuple[float, flo
 # ---- shapes without constant rows, fitted to positions of the hand: the side of a cylinder, a helix, a bent rail
 
 
-def reshaped(fit: RowFit, known: Placed | None, arm_deg: float) -> Placed | CurveRows | None:
+def fit_shape(fit: RowFit, known: Placement | None, arm_deg: float) -> Placement | CurveRows | None:
     """Return the shape that explains the positions of the hand far better than these rows; None if there is none.
 
     Args:
@@ -205,20 +241,25 @@ def reshaped(fit: RowFit, known: Placed | None, arm_deg: float) -> Placed | Curv
     parts, hand = fit.motion.parts, fit.view.features.twist
     if hand is None or fit.rows.shape[0] > 2:
         return None
-    chosen = [part.start + evenly(part.stop - part.start, max(2, 1500 // len(parts))) for part in parts]
-    p, ends = fit.motion.poses[np.concatenate(chosen), :3, 3], np.cumsum([0, *map(len, chosen)])
+    samples = [part.start + evenly(part.stop - part.start, max(2, 1500 // len(parts))) for part in parts]
+    p, ends = fit.motion.poses[np.concatenate(samples), :3, 3], np.cumsum([0, *map(len, samples)])
     parts = [slice(*edges) for edges in pairwise(ends)]
     middle = p.mean(axis=0)
     first, second, normal = np.linalg.svd(p - middle, full_matrices=False)[2]
-    # rows that are none are those of a plane or of a line
+    # rows without a mechanism count as a plane or a line
     name, axis = ("plane", normal) if len(fit.rows) == 1 else ("line", first)
     kind, place = (KIND_BY_NAME[name], Place(axis, middle)) if known is None else (known.kind, known.place)
-    before = float(np.mean(_nearest(kind, place, p, parts)[1] ** 2)) + LEAST_RAD**2
+    before = float(np.mean(_fit_place(kind, place, p, parts)[1] ** 2)) + ACCURACY**2
 
-    def gain(left: np.ndarray, unknowns: int) -> float:
-        """Return the gain of a shape over the rows, net of the price of its unknowns [nats]."""
-        n = left.size / autocorrelation(left, parts)
-        return 0.5 * n * math.log(before / (float(np.mean(left**2)) + LEAST_RAD**2)) - 0.5 * unknowns * math.log(n)
+    def gain(residual: np.ndarray, unknowns: int) -> float:
+        """Return the gain of a shape over the rows, net of the price of its unknowns [nats].
+
+        Args:
+            residual: Array (n, k) of residuals of the shape [m].
+            unknowns: Number of its parameters.
+        """
+        n = residual.size / autocorrelation(residual, parts)
+        return 0.5 * n * math.log(before / (float(np.mean(residual**2)) + ACCURACY**2)) - 0.5 * unknowns * math.log(n)
 
     starts: list[Place] = []
     if len(fit.rows) == 2 and kind.name in ("hinge", "screw"):
@@ -228,69 +269,71 @@ def reshaped(fit: RowFit, known: Placed | None, arm_deg: float) -> Placed | Curv
         for angle, side in product(np.arange(8) * math.pi / 8.0, (-1.0, 1.0)):
             starts.append(Place(math.cos(angle) * first + math.sin(angle) * second, middle + side * normal))
     n = len(kind.unknowns)
-    best = max((_nearest(kind, x, p, parts) for x in starts), key=lambda found: gain(found[1], n), default=None)
+    best = max((_fit_place(kind, x, p, parts) for x in starts), key=lambda found: gain(found[1], n), default=None)
     if best is not None and gain(best[1], n) > LEAST_GAIN and abs(best[0].pitch) >= 3.0 * math.sqrt(best[2][6, 6]):
         place, _, C = best
         place = replace(place, point=place.point + ((middle - place.point) @ place.axis) * place.axis).canonical()
-        axis, point, pitch = (math.sqrt(np.trace(C[KNOWN[n], KNOWN[n]])) for n in ("axis", "point", "pitch"))
-        point = math.hypot(point, math.radians(arm_deg) * (arc_of(kind, place, p) or (0.0,))[0])
+        axis, point, pitch = (math.sqrt(np.trace(C[SLICES[n], SLICES[n]])) for n in ("axis", "point", "pitch"))
+        point = math.hypot(point, math.radians(arm_deg) * (hand_arc(kind, place, p) or (0.0,))[0])
         uncertainty = {"axis": math.hypot(math.degrees(axis), arm_deg), "point": point, "radius": point}
         uncertainty |= {"pitch": pitch} if "pitch" in kind.unknowns else {}
-        return _placed(kind, place, p, uncertainty, fit)
+        return _placement(kind, place, p, uncertainty, fit)
     curve = _curve(p, parts) if len(fit.rows) == 2 and len(parts) > 2 and before > LEAST_MOTION**2 else None
     if curve is None or gain(curve[1], 12) <= LEAST_GAIN:
         return None
     return CurveRows(hand.robot, hand.frame.name, curve[0], ("across-1", "across-2"), **hand.seen_from)
 
 
-def _nearest(
+def _fit_place(
     kind: MechanismKind, start: Place, p: Places, parts: list[slice]
 ) -> tuple[Place, Float[np.ndarray, "n k"], Float[np.ndarray, "7 7"]]:
     """Return the best place, its residual [m], and the covariance of its axis, point and pitch."""
-    steps = np.concatenate([np.eye(7)[KNOWN[name]] for name in kind.unknowns])
-    found = least_squares(lambda x: _left(kind, start.moved(x @ steps), p, parts).ravel(), np.zeros(len(steps)))
-    place = start.moved(found.x @ steps)
-    left = _left(kind, place, p, parts)
-    variance = float(np.mean(left**2)) * autocorrelation(left, parts)
-    return place, left, variance * steps.T @ np.linalg.pinv(found.jac.T @ found.jac, 1e-10, True) @ steps
+    steps = np.concatenate([np.eye(7)[SLICES[name]] for name in kind.unknowns])
+    solution = least_squares(lambda x: _residual(kind, start.moved(x @ steps), p, parts).ravel(), np.zeros(len(steps)))
+    place = start.moved(solution.x @ steps)
+    residual = _residual(kind, place, p, parts)
+    variance = float(np.mean(residual**2)) * autocorrelation(residual, parts)
+    return place, residual, variance * steps.T @ np.linalg.pinv(solution.jac.T @ solution.jac, 1e-10, True) @ steps
 
 
-def _left(kind: MechanismKind, place: Place, p: Places, parts: list[slice]) -> Float[np.ndarray, "n k"]:
-    """Return the quantities of the position that a mechanism keeps, less their means in each stretch [m]."""
+def _residual(kind: MechanismKind, place: Place, p: Places, parts: list[slice]) -> Float[np.ndarray, "n k"]:
+    """Return the quantities of the position that a mechanism keeps constant, less their means in each stretch [m]."""
     d, sides = p - place.point, across(place.axis)
     z = d @ place.axis
     rho = np.linalg.norm(d - np.outer(z, place.axis), axis=1)
     if kind.type == "screw":
         angle = np.arctan2(*(d @ sides.T).T[::-1])
         z = z - place.pitch * np.concatenate([np.unwrap(angle[part]) for part in parts])
-    kept = {"line": (d @ sides.T).T, "plane": [z], "ball": [np.linalg.norm(d, axis=1)], "other": [rho]}
-    out = np.stack(kept.get(kind.type, [rho, z]), axis=1)
+    constants = {"line": (d @ sides.T).T, "plane": [z], "ball": [np.linalg.norm(d, axis=1)], "other": [rho]}
+    out = np.stack(constants.get(kind.type, [rho, z]), axis=1)
     return np.concatenate([out[part] - out[part].mean(axis=0) for part in parts])
 
 
 def _curve(p: Places, parts: list[slice]) -> tuple[Curve, Places] | None:
-    """Return the curve through the positions, and their distances from the curve of the other recordings [m]."""
+    """Return the curve through the positions, and their distances from the curve without their own recording [m]."""
+    # candidate numbers of pieces of a spline; the one that predicts the other recordings best wins
+    numbers = (2, 4, 8, 16, 32)
     best: tuple[Curve, np.ndarray] | None = None
-    with suppress(FeatureError, ValueError):  # more pieces than samples can tell, or a hand that stands still
+    with suppress(FeatureError, ValueError):  # too many pieces for the samples, or a hand at rest
         longest = p[max(parts, key=lambda part: float(np.ptp(p[part], axis=0).sum()))]
-        # from its beginning to its farthest place, without what it goes back meanwhile
+        # from its beginning to its farthest position, without backward motion
         away = np.linalg.norm(longest - longest[0], axis=1)
         onward = np.unique(np.maximum.accumulate(away[: int(np.argmax(away)) + 1]), return_index=True)[1]
         curve = Curve(longest[onward][evenly(len(onward), 8)])
-        for pieces in PIECES:
+        for pieces in numbers:
             for _ in range(5):
-                curve = _through(curve, p, pieces)
+                curve = _fit_spline(curve, p, pieces)
             off = np.empty_like(p)
             for part in parts:
-                others = _through(curve, np.delete(p, np.arange(part.start, part.stop), axis=0), pieces)
-                # in two directions of three
+                others = _fit_spline(curve, np.delete(p, np.arange(part.start, part.stop), axis=0), pieces)
+                # the distance is in two directions of three
                 off[part] = math.sqrt(1.5) * (p[part] - others.at(others.nearest(p[part])))
             if best is None or np.mean(off**2) < np.mean(best[1] ** 2):
                 best = curve, off
     return best
 
 
-def _through(curve: Curve, p: Places, pieces: int) -> Curve:
+def _fit_spline(curve: Curve, p: Places, pieces: int) -> Curve:
     """Return the spline of a number of pieces through positions, at the lengths of their nearest points on a curve."""
     s = curve.nearest(p)
     order = np.argsort(s)
@@ -302,14 +345,15 @@ def _through(curve: Curve, p: Places, pieces: int) -> Curve:
 # ---- the whole hand: its grip, and the rows in selected axes
 
 
-def whole_fit(
+def fit_whole(
     views: Sequence[View], place: RowFit, spans: Sequence[Stretch], settings: Settings, gate: Gate
 ) -> RowFit | None:
-    """Return the rows of the whole twist that constrain the hand, more than those of its position; None if loose.
+    """Fit rows of the whole twist that constrain the hand, more than the rows of its position; None if the grip is
+    loose.
 
     They are rows of a mechanism, or else clear and accepted; they constrain the orientation as well as a grip does, and
-    the position with no fewer rows than were found. Of these, the rows with the largest gap between the displacements
-    along them and along free directions are returned.
+    the position with no fewer rows than before. Of these, the rows with the largest gap between the displacements along
+    them and along free directions are returned.
 
     Args:
         views: Views of the whole twist.
@@ -317,8 +361,11 @@ def whole_fit(
         spans: Stretches in which they are constrained.
         settings: Settings of the fit.
         gate: Test of the evidence.
+
+    Returns:
+        Fit of the rows of the whole twist, or None.
     """
-    best, largest, apart = None, (False, WEAK_GAP), turned_by_joints(place.motion)
+    best, largest, apart = None, (False, WEAK_GAP), independent_rotation(place.motion)
     J, few, has_name = place.motion.J, evenly(len(place.motion.x), 50), kind_of(place) is not None
     for view in views:
         motion = Motion.of(view, spans, settings)
@@ -328,27 +375,27 @@ def whole_fit(
             if gap <= WEAK_GAP or (True, gap) <= largest:
                 continue
             fit = RowFit(motion, orthonormal_rows(motion.levels.directions[:s])).best()
-            turned = np.sum(np.einsum("nij,nj->ni", J[:, 3:], fit.shortest_way_back()) ** 2, axis=1)
+            turned = np.sum(np.einsum("nij,nj->ni", J[:, 3:], fit.correction()) ** 2, axis=1)
             away = np.degrees(np.median([np.sqrt(np.mean(turned[p])) for p in motion.parts]))
             free = (x @ null_basis(A) for x, A in zip(J[few, :3], fit.rows @ motion.Phi[few], strict=True))
             moves = [np.count_nonzero(np.linalg.svd(x, compute_uv=False) > ON_THE_AXIS) for x in free]
             # where the gap is clear, rotation by independent joints alone counts
-            most = min(GIVES_WAY if gap < CLEAR_GAP else np.inf, apart / CLEAR_GAP)
-            # where the place tells as much, it tells it better: a grip that gives way turns more than it slides, and a
-            # hand that is free to turn may turn alike each time
-            held, named = 3 - int(np.median(moves)), kind_of(fit) is not None
-            as_well = fit.variance <= OVER_NOISE * place.variance and named >= has_name
-            if away > most or held < len(place.rows) + (not as_well):
+            most = min(GRIP_PLAY if gap < CLEAR_GAP else np.inf, apart / CLEAR_GAP)
+            # rows of the position that explain as much are preferred: a compliant grip turns more than it slides, and
+            # a hand that is free to turn may turn alike each time
+            n_constrained, is_kind = 3 - int(np.median(moves)), kind_of(fit) is not None
+            as_well = fit.variance <= OVER_NOISE * place.variance and is_kind >= has_name
+            if away > most or n_constrained < len(place.rows) + (not as_well):
                 continue
-            if (named, gap) <= largest or not (named or gap > CLEAR_GAP):
+            if (is_kind, gap) <= largest or not (is_kind or gap > CLEAR_GAP):
                 continue
-            if named or gate.evidence(view, spans).verdict(s) == "clear":
-                best, largest = fit, (named, gap)
+            if is_kind or gate.evidence(view, spans).verdict(s) == "clear":
+                best, largest = fit, (is_kind, gap)
     return best
 
 
-def held_kind(known: Placed, motion: Motion) -> tuple[MechanismKind, float, float]:
-    """Return the kind of mechanism with the orientation that it constrains, and how well the orientation is kept.
+def grip_kind(known: Placement, motion: Motion) -> tuple[MechanismKind, float, float]:
+    """Return the kind of mechanism with the orientation that it constrains, and the deviation of the orientation.
 
     Args:
         known: Mechanism that constrains the position of the hand.
@@ -357,9 +404,9 @@ def held_kind(known: Placed, motion: Motion) -> tuple[MechanismKind, float, floa
     Returns:
         The kind with the most rows from which the hand deviates by no more than a grip gives way; the known one if
         there is none. The smallest RMS deviation of the orientation from one that is fixed or carried by the mechanism,
-        and that by independent joints [deg], medians of the contacts.
+        and the RMS rotation by independent joints [deg], medians of the contacts.
     """
-    place, apart, seen = known.place, turned_by_joints(motion), list[dict[str, float]]()
+    place, apart, deviations = known.place, independent_rotation(motion), list[dict[str, float]]()
     for T in (motion.poses[p] for p in motion.parts):  # RMS rotation from each orientation that may be constrained
         rotation, away = Rotation.from_matrix(T[:, :3, :3]), T[:, :3, 3] - place.point
         turns, directions = {"fixed": rotation}, dict[str, np.ndarray]()
@@ -376,42 +423,49 @@ def held_kind(known: Placed, motion: Motion) -> tuple[MechanismKind, float, floa
             units = vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
             mean = units.mean(axis=0)
             off[name] = np.arccos(np.clip(units @ mean / np.linalg.norm(mean), -1.0, 1.0))
-        seen.append({name: float(np.degrees(np.sqrt(np.mean(angles**2)))) for name, angles in off.items()})
-    rms = {name: float(np.median([x[name] for x in seen])) for name in seen[0]}
-    kept, most = min(rms["fixed"], rms.get("carried", np.inf)), min(GIVES_WAY, apart / CLEAR_GAP)
+        deviations.append({name: float(np.degrees(np.sqrt(np.mean(angles**2)))) for name, angles in off.items()})
+    rms = {name: float(np.median([x[name] for x in deviations])) for name in deviations[0]}
+    smallest, most = min(rms["fixed"], rms.get("carried", np.inf)), min(GRIP_PLAY, apart / CLEAR_GAP)
     kinds = [k for k in MECHANISM_KINDS if k.type == known.kind.type and len(k.rows) > len(known.kind.rows)]
     firm = [k for k in kinds if rms.get(k.orientation, np.inf) <= most]
-    firm = [k for k in firm if k.orientation != "about-axis" or kept > KEPT]
-    return max(firm, key=lambda k: (len(k.rows), -rms[k.orientation]), default=known.kind), kept, apart
+    firm = [k for k in firm if k.orientation != "about-axis" or smallest > LOOSE]
+    return max(firm, key=lambda k: (len(k.rows), -rms[k.orientation]), default=known.kind), smallest, apart
 
 
-def turned_by_joints(motion: Motion) -> float:
-    """Return the RMS rotation of the hand by independent motions of the joints that are as large as these [deg]."""
+def independent_rotation(motion: Motion) -> float:
+    """Return the RMS rotation of the hand by independent motions of the joints that are as large as these.
+
+    Args:
+        motion: Contacts.
+
+    Returns:
+        Median of the contacts [deg].
+    """
     turns = np.array([np.sum(motion.J[(p.start + p.stop) // 2, 3:] ** 2, axis=0) for p in motion.parts])
     spread = np.array([np.var(motion.x[p], axis=0) for p in motion.parts])
     return float(np.degrees(np.median(np.sqrt(np.sum(turns * spread, axis=1)))))
 
 
-def asked_rows(
-    features: FeatureMap, selection: np.ndarray, known: Placed | None, asked: Sequence[FeatureMap], q: np.ndarray
+def select_rows(
+    features: FeatureMap, selection: np.ndarray, known: Placement | None, asked: Sequence[FeatureMap], q: np.ndarray
 ) -> tuple[FeatureMap, Float[np.ndarray, "k r"]]:
-    """Return the rows in the requested axes: combinations x Lambda with no share in other columns; else all.
+    """Return the rows in the requested axes: combinations x Lambda with no share in other columns; else all rows.
 
     Args:
         features: Phi of all rows that constrain the hand.
-        selection: shape (s, p), their Lambda.
+        selection: Their Lambda (s, p).
         known: Mechanism, or None.
         asked: Requested feature maps.
-        q: shape (n, nq), postures.
+        q: Array (n, nq) of postures.
 
     Returns:
         Phi and Lambda.
     """
     poses, names = [f for f in asked if isinstance(f, PoseRows)], {n for f in asked for n in f.row_names}
     if isinstance(features, MechanismRows) and known is not None and names == set(AXES[:3]):
-        own, radius = KINDS[known.kind.kind, "free"].rows, known.mechanism.radius
+        mine, radius = KINDS[known.kind.kind, "free"].rows, known.mechanism.radius
         if len(poses) == len(asked) and (radius is None or radius >= ON_THE_AXIS):
-            features = movable(features.with_rows(own, None if known.kind.type == "screw" else radius), q)
+            features = movable_rows(features.with_rows(mine, None if known.kind.type == "screw" else radius), q)
             return features, np.eye(features.n_rows)
     if len(poses) < len(asked) or not isinstance(features, PoseRows | PlaceRows):
         return features, selection
@@ -422,12 +476,12 @@ def asked_rows(
         hand = features.robot, features.frame.name
         wide = PlaceRows(*hand, form, features.middle, **features.twist.seen_from)
         options.append(features if form == features.form else wide)
-    given, rows = features, selection[:0]
+    best, rows = features, selection[:0]
     for option in options:
-        own = np.array([n in option.row_names for n in columns])
-        _, sigma, Vt = np.linalg.svd(selection[:, ~own].T)
-        inside = Vt[np.append(sigma, np.zeros(len(selection) - len(sigma))) < MIXED] @ (selection * own)
-        given, rows = (option, inside) if len(inside) > len(rows) else (given, rows)
-    if given is features:
+        mine = np.array([n in option.row_names for n in columns])
+        _, sigma, Vt = np.linalg.svd(selection[:, ~mine].T)
+        inside = Vt[np.append(sigma, np.zeros(len(selection) - len(sigma))) < MIXED] @ (selection * mine)
+        best, rows = (option, inside) if len(inside) > len(rows) else (best, rows)
+    if best is features:
         return features, selection
-    return given, pivoted_rows(rows) @ np.array([[column == n for n in given.row_names] for column in columns])
+    return best, pivoted_rows(rows) @ np.array([[column == n for n in best.row_names] for column in columns])

@@ -1,4 +1,4 @@
-"""Report on a constraint: its evidence, its stretches in the recordings, warnings, and what made it."""
+"""Report on a constraint: its evidence, its stretches in the recordings, warnings, and its provenance."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from manip_learn.constraint.constraint import Constraint, describe, free_directi
 from manip_learn.constraint.mechanism import Mechanism, describe_uncertainty
 from manip_learn.constraint.shown import demonstrated_motion, fit_intention
 from manip_learn.errors import counted, error_in_words, few, listed, named, printable
-from manip_learn.learning.answer import IN_ONE_ONLY, Answer, Found
+from manip_learn.learning.answer import IN_ONE_ONLY, Answer, Answers
 from manip_learn.learning.gate import RowSupport
 from manip_learn.learning.repeats import IndependentRecordings
 from manip_learn.learning.table import CLEAR_GAP, Table, excitation
@@ -33,14 +33,7 @@ from manip_learn.robot import html_card
 NOISE, JOINT_ZEROS, POLICY = PARTS = ("noise", "joint zeros", "policy")
 Uncertainty = dict[str, float | None]
 
-# recordings from which on nothing is said of their number: what several do by chance, five hardly do
-_ENOUGH = 5
-SPANS_SHOWN = 6  # of each constraint, in words
-MOST_NOTES = 20  # lines, one screen
-# what a constraint file keeps of where its task was shown, evenly over all samples: the place and the reach of a drawer
-# to a centimetre or two, in 10 kB
-KEPT_POSTURES = 144
-# what of a report goes into the constraint's file
+# fields of the report that are saved in the constraint's file
 PROVENANCE = set(
     "estimator kind gap uncertainty_deg uncertainty mu_uncertainty n_samples n_trajectories sentence warnings phases "
     "odd_trajectories mechanism evidence facts row_evidence held_out_residual n_constraints".split()
@@ -69,7 +62,7 @@ class OddTrajectory(NamedTuple):
 
     Attributes:
         trajectory: Its name.
-        reason: How it differs, in numbers and units.
+        reason: Difference, in numbers and units.
     """
 
     trajectory: str
@@ -96,15 +89,16 @@ class RecordingOverview(NamedTuple):
         unlearnt = [p for p in self.phases if p.reason]
         if not free and not unlearnt and len(numbers) < 2:
             return ()
-        out = [f"constraint {k + 1} is held {_where([p for p in self.phases if p.constraint == k])}" for k in numbers]
+        out = [f"constraint {k + 1} is held {_spans([p for p in self.phases if p.constraint == k])}" for k in numbers]
         out += [f"free motion in {counted(free, 'stretch')}"] if free else []
-        out += [f"not learnt {_where([p])}: {p.reason}" for p in unlearnt]
+        out += [f"not learnt {_spans([p])}: {p.reason}" for p in unlearnt]
         return tuple(map(printable, out))
 
 
-def _where(phases: Sequence[_Phase]) -> str:
-    """Return in words where phases are: the first of them, and how many there are more."""
-    return few([f"from {p.start:.2f} s to {p.end:.2f} s in {p.trajectory}" for p in phases], SPANS_SHOWN)
+def _spans(phases: Sequence[_Phase]) -> str:
+    """Return the first phases in words, and the number of the others."""
+    most = 6  # number of stretches named in words
+    return few([f"from {p.start:.2f} s to {p.end:.2f} s in {p.trajectory}" for p in phases], most)
 
 
 @final
@@ -130,7 +124,7 @@ class LearningReport:
         uncertainty_deg: In 68 % of cases the row space is within this angle of the true one: the root of the sum of
             the squares of the parts in `uncertainty`, or, of rows about an axis or a centre, the angle in the places of
             the hand; None with a single trajectory or where there is only one possible row space. A rotated base
-            rotates all recordings alike, which none of them shows: it is not included.
+            rotates all recordings equally, which none of them shows: it is not included.
         excitation: Joint name -> share of the energy of the motion.
         policy_model: Joint estimator: grades of the null-space policy that the data determine, or the given model.
         policy_residuals: Joint estimator: model -> held-out share of unexplained energy.
@@ -147,7 +141,7 @@ class LearningReport:
             recordings; `"joint zeros"`, by constant errors of the arm (null-space estimator); `"policy"`, by the part
             of the policy that the data do not determine (joint estimator). None where a part does not apply.
         mu_uncertainty: In 68 % of cases, at the demonstrated configurations, the manipulability of the true constraint
-            is within this share of that of the learnt one; None with a single trajectory.
+            differs from the learnt one by no more than this share; None with a single trajectory.
     """
 
     sentence: str
@@ -214,12 +208,16 @@ class LearningReport:
         )
 
     def facts(self) -> dict[str, str]:
-        """Return the evidence in words, by what it is called; a number has its scale beside it."""
+        """Return the evidence in words, each number with its scale.
+
+        Returns:
+            Name of a fact -> words.
+        """
         rank = f"{CLEAR_GAP:g} is clear" if self.gap >= CLEAR_GAP else f"weak: {CLEAR_GAP:g} is clear"
-        residual, held = self.held_out_residual, [row for row in self.row_evidence if row.state == "held"]
+        residual, constrained = self.held_out_residual, [row for row in self.row_evidence if row.state == "held"]
         share = f"{100 * residual:.2g} %" if residual >= 1e-5 else "less than 0.001 %"
-        strengths = listed(f"{row.strength:.3g}" for row in held) if held else "none"
-        p_value = f", p = {max(row.p_value for row in held):.2g}" if held else ""
+        strengths = listed(f"{row.strength:.3g}" for row in constrained) if constrained else "none"
+        p_value = f", p = {max(row.p_value for row in constrained):.2g}" if constrained else ""
         source = f"{counted(self.n_samples, 'sample')} of {counted(self.n_trajectories, 'recording')}"
         facts = {
             "estimator": f"{self.estimator} ({self.kind})",
@@ -237,9 +235,9 @@ class LearningReport:
 
     def known_to(self) -> str:
         """Return the uncertainty of each quantity in words, as in the sentence; empty if none is known."""
-        said = describe_uncertainty(self.uncertainty_deg, self.mechanism, self._is_told)
+        text = describe_uncertainty(self.uncertainty_deg, self.mechanism, self._is_told)
         mu = "" if self.mu_uncertainty is None else f", mu to {error_in_words(100.0 * self.mu_uncertainty, '%')}"
-        return f"{said}{mu} (68 %, {parts_in_words(self.uncertainty, self.reference)})" if said else ""
+        return f"{text}{mu} (68 %, {parts_in_words(self.uncertainty, self.reference)})" if text else ""
 
     def mechanism_in_words(self) -> str:
         """Return the mechanism in words, without its place if the sentence has it; empty without a mechanism."""
@@ -269,7 +267,7 @@ class Context(NamedTuple):
     """Data that all reports of a fit share.
 
     Attributes:
-        table, recordings: Samples, and the recordings that they are of.
+        table, recordings: Samples, and their recordings.
         settings: Settings of the learner.
         started: Reading of `time.perf_counter` when the fit began [s].
     """
@@ -281,66 +279,80 @@ class Context(NamedTuple):
 
 
 def parts_in_words(parts: Uncertainty, reference: str | None) -> str:
-    """Return the parts of an uncertainty in words, with those not included: `"noise 0.002 degrees; not included: ..."`.
+    """Return the parts of an uncertainty in words, with the parts not included: `"noise 0.002 degrees; not included:
+    ..."`.
 
     Rows in the axes of the tool (reference `"local"`) do not depend on the orientation of the base.
+
+    Args:
+        parts: Source -> error [deg]; None for parts that are not known.
+        reference: Reference of the rows.
     """
-    known = [f"{name} {error_in_words(part, 'degrees')}" for name, part in parts.items() if part is not None]
-    missing = ["joint zeros that are off"] if known and parts[JOINT_ZEROS] is None else []
+    included = [f"{name} {error_in_words(part, 'degrees')}" for name, part in parts.items() if part is not None]
+    missing = ["joint zeros that are off"] if included and parts[JOINT_ZEROS] is None else []
     missing += [] if reference == "local" else ["a base that stands turned, which no recording can show"]
-    said = ", ".join(known) or "scatter of the samples"
-    return f"{said}; not included: {listed(missing)}" if missing else said
+    text = ", ".join(included) or "scatter of the samples"
+    return f"{text}; not included: {listed(missing)}" if missing else text
 
 
 Learnt = tuple[Constraint, Constraint, LearningReport]
 
 
-def reports(found: Found, context: Context) -> list[Learnt]:
-    """Return the whole constraint of each answer, the rows asked for, and the report on these."""
+def make_reports(result: Answers, context: Context) -> list[Learnt]:
+    """Return the whole constraint of each answer, the constraint in the requested rows, and the report on the latter.
+
+    Args:
+        result: Answers.
+        context: Data that all reports share.
+    """
     recordings = context.recordings
-    names, given = distinct_names(recordings.demonstrations), distinct_names(recordings.given)
-    stretches = [(s, k, "") for k, answer in enumerate(found.answers) for s in answer.stretches]
-    stretches += [(s, None, "") for s in found.free] + [(s, None, why) for s, why in found.unlearnt]
-    phases = list[_Phase]()  # on the clocks of the recordings that were given
+    names, given_names = distinct_names(recordings.demonstrations), distinct_names(recordings.given)
+    stretches = [(s, k, "") for k, answer in enumerate(result.answers) for s in answer.stretches]
+    stretches += [(s, None, "") for s in result.free] + [(s, None, why) for s, why in result.unlearnt]
+    phases = list[_Phase]()  # on the clocks of the original recordings
     for s, k, why in sorted(stretches, key=lambda x: (x[0].recording, x[0].start)):
         pieces = recordings.origins[s.recording]
         for number, added in pieces:
             time = recordings.given[number].time
             start, end = max(s.start - added, float(time[0])), min(s.end - added, float(time[-1]))
             if start < end or len(pieces) == 1:
-                phases.append(_Phase(given[number], start, end, k, why))
-    odd = tuple(OddTrajectory(names[i], printable(why)) for i, why in sorted(found.odd.items()))
-    warnings = [*recordings.warnings, *found.warnings]
+                phases.append(_Phase(given_names[number], start, end, k, why))
+    odd = tuple(OddTrajectory(names[i], printable(why)) for i, why in sorted(result.odd.items()))
+    warnings = [*recordings.warnings, *result.warnings]
     if alone := [p for p in phases if p.reason == IN_ONE_ONLY]:
         contacts = f"{counted(len(alone), 'contact')} that one recording alone shows"
-        warnings.append(f"record again, at least twice, {contacts}: {_where(alone)}")
+        warnings.append(f"record again, at least twice, {contacts}: {_spans(alone)}")
     if odd:
         reasons = "; ".join(f"{o.trajectory}: {o.reason}" for o in odd)
-        out = "what does not agree was left out of the first constraint"
+        out = "they were left out of the first constraint"
         warnings.append(f"{len(odd)} of {len(names)} recordings do not agree with the others; {out}: {reasons}")
-    hashed = [{"name": n, "sha256": checksum(t)} for n, t in zip(given, recordings.given, strict=True)]
-    made = {"version": version(), "date": datetime.now(UTC).isoformat(timespec="seconds"), "recordings": hashed}
-    made["settings"] = _plain(context.settings)
+    hashed = [{"name": n, "sha256": checksum(t)} for n, t in zip(given_names, recordings.given, strict=True)]
+    origin = {"version": version(), "date": datetime.now(UTC).isoformat(timespec="seconds"), "recordings": hashed}
+    origin["settings"] = _plain(context.settings)
     overview = RecordingOverview(tuple(phases), odd, warnings)
-    return [_report(answer, overview, context, made) for answer in found.answers]
+    return [_report(answer, overview, context, origin) for answer in result.answers]
 
 
-def _report(answer: Answer, overview: RecordingOverview, context: Context, made: dict[str, Any]) -> Learnt:
+def _report(answer: Answer, overview: RecordingOverview, context: Context, origin: dict[str, Any]) -> Learnt:
+    # postures in a constraint's file: they show the place and the reach of a drawer to 1 or 2 cm, in 10 kB
+    most_postures = 144
+    # number of recordings without a warning: five hardly agree by chance; largest number of notes, one screen
+    enough, most_notes = 5, 20
     table, features, selection = context.table, answer.asked.features, answer.asked.selection
     recorded = context.recordings.demonstrations
     warnings, notes = list(answer.warnings), list(dict.fromkeys(map(printable, recorded.notes)))
     used = np.linalg.norm(features.batch(table.q[evenly(len(table.q), 200)]), axis=2).max(axis=0) > 1e-9
     if unused := [n for n, u in zip(features.row_names, used, strict=True) if not u]:
         warnings.append(f"always zero for this robot and frame, so left out: {listed(unused)}")
-    if (n := len({s.recording for s in answer.stretches})) < _ENOUGH:
+    if (n := len({s.recording for s in answer.stretches})) < enough:
         count = "one trajectory" if n == 1 else f"{n} trajectories"
-        warnings.append(f"only {count}: evidence from so few is thin; record {_ENOUGH} or more")
-    if len(notes) > MOST_NOTES:  # of thousands of files, not thousands of sentences
-        notes[MOST_NOTES:] = [f"and {len(notes) - MOST_NOTES} more notes of this kind"]
+        warnings.append(f"only {count}: evidence from so few is thin; record {enough} or more")
+    if len(notes) > most_notes:  # thousands of files may have thousands of notes
+        notes[most_notes:] = [f"and {len(notes) - most_notes} more notes of this kind"]
     inside = table.inside(answer.stretches)
     shares, still = excitation(table.joint_names, table.u[inside])
     if still:
-        unknown = "what the arm did not try cannot be told from what it could not do"
+        unknown = "a direction that was never exercised looks like a constrained one"
         warnings.append(f"{named('joint', still)} hardly moved: {unknown}")
     kind = "motion-constrained" if answer.estimator == "null-space" else "self-imposed"
     free = free_directions(selection, used)
@@ -370,18 +382,18 @@ def _report(answer: Answer, overview: RecordingOverview, context: Context, made:
         uncertainty={part: answer.uncertainty.get(part) for part in PARTS},
         **{name: getattr(answer, name) for name in same},
     )
-    kept = np.flatnonzero(inside)[evenly(report.n_samples, KEPT_POSTURES)]
+    indices = np.flatnonzero(inside)[evenly(report.n_samples, most_postures)]
     provenance = {key: value for key, value in report.to_dict().items() if key in PROVENANCE}
-    provenance["made"] = dict(made)
-    provenance["postures"] = np.round(table.q[kept], 5).tolist()
-    provenance["posture_trajectories"] = table.recording[kept].tolist()
+    provenance["made"] = dict(origin)
+    provenance["postures"] = np.round(table.q[indices], 5).tolist()
+    provenance["posture_trajectories"] = table.recording[indices].tolist()
     whole = answer.whole
     if kind == "motion-constrained":
         contacts = [table.moved[s.recording][s.start : s.end] for s in answer.stretches]
-        name, said = "shown", demonstrated_motion(whole.features, whole.selection, answer.mechanism, contacts)
+        name, motion = "shown", demonstrated_motion(whole.features, whole.selection, answer.mechanism, contacts)
     else:
-        name, said = "intention", fit_intention(features, selection, [(t.q, np.asarray(t.u)) for t in table.moved])
-    provenance[name] = None if said is None else said.to_dict()
+        name, motion = "intention", fit_intention(features, selection, [(t.q, np.asarray(t.u)) for t in table.moved])
+    provenance[name] = None if motion is None else motion.to_dict()
     everything = Constraint(whole.selection, whole.features, provenance)
     if whole is answer.asked:
         return everything, everything, report
@@ -389,7 +401,14 @@ def _report(answer: Answer, overview: RecordingOverview, context: Context, made:
 
 
 def checksum(trajectory: Trajectory) -> str:
-    """Return the SHA-256 of the file of a trajectory; of its numbers if it was not read from a file."""
+    """Return the SHA-256 of the file of a trajectory; the hash of its numbers if it was not read from a file.
+
+    Args:
+        trajectory: Recording.
+
+    Returns:
+        64 hexadecimal digits.
+    """
     numbers = (trajectory.time, trajectory.q, *trajectory.arrays.values())
     return trajectory.sha256 or hashlib.sha256(b"".join(a.astype("<f8").tobytes() for a in numbers)).hexdigest()
 
@@ -403,7 +422,7 @@ def version() -> str:
     root = Path(__file__).resolve().parents[2]
     if (root / ".git").exists():
         command = "git --no-optional-locks describe --always --abbrev=8 --exclude=* --dirty".split()
-        with suppress(OSError, subprocess.SubprocessError):  # no git here, or a checkout of somebody else
-            told = subprocess.run(command, cwd=root, capture_output=True, text=True, timeout=5.0, check=True)
-            commit = told.stdout.strip()
+        with suppress(OSError, subprocess.SubprocessError):  # no git here, or another user's checkout
+            result = subprocess.run(command, cwd=root, capture_output=True, text=True, timeout=5.0, check=True)
+            commit = result.stdout.strip()
     return f"{number}+{commit}" if commit else number

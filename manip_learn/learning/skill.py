@@ -13,13 +13,9 @@ from manip_learn.constraint.features.feature_map import FeatureMap
 from manip_learn.constraint.shown import Take, demonstrated_motion
 from manip_learn.constraint.skill import MAX_TAKES, Skill, Step
 from manip_learn.errors import counted
-from manip_learn.learning.answer import Found
+from manip_learn.learning.answer import Answers
 from manip_learn.learning.table import Table
 from manip_learn.recordings.trajectory import Trajectory, evenly
-
-LEAVES = 0.02  # [m] that a hand goes after its last contact if it was taken away from there, and not only let go
-GRIPS = 0.1  # share of its range that a gripper's joint moves when it closes or opens
-PRESSES = 0.5  # share of its largest effort by which that of a gripper's joint rises when it closes on something
 
 
 class _Contact(NamedTuple):
@@ -29,53 +25,67 @@ class _Contact(NamedTuple):
     piece: Trajectory
 
 
-def skill_of(constraints: Sequence[Constraint], found: Found, table: Table) -> Skill:
-    """Return the constraints in the order in which most recordings show them, each with the motion shown there."""
-    numbered = [(number, stretch) for number, answer in enumerate(found.answers) for stretch in answer.stretches]
+def build_skill(constraints: Sequence[Constraint], result: Answers, table: Table) -> Skill:
+    """Build the skill: the constraints in the order in which most recordings show them, each with its demonstrated
+    motion.
+
+    Args:
+        constraints: Constraint of each answer, with all its rows.
+        result: Answers, with their stretches.
+        table: Samples.
+
+    Returns:
+        Skill; without steps if the answers have no stretches.
+    """
+    retreat = 0.02  # [m] smallest motion after the last contact that is a retreat, not only a release
+    numbered = [(number, stretch) for number, answer in enumerate(result.answers) for stretch in answer.stretches]
     order: dict[int, list[_Contact]] = {stretch.recording: [] for _, stretch in numbered}
     for number, stretch in sorted(numbered, key=lambda one: one[1].start):
-        piece, kept = table.moved[stretch.recording][stretch.start : stretch.end], order[stretch.recording]
-        if kept and kept[-1].constraint == number:  # of successive contacts with one constraint, the longest
-            kept[-1] = max(kept[-1], _Contact(number, piece), key=lambda c: c.piece.duration)
+        piece, before = table.moved[stretch.recording][stretch.start : stretch.end], order[stretch.recording]
+        if before and before[-1].constraint == number:  # keep the longest of successive contacts with one constraint
+            before[-1] = max(before[-1], _Contact(number, piece), key=lambda c: c.piece.duration)
         else:
-            kept.append(_Contact(number, piece))
+            before.append(_Contact(number, piece))
     sequences = Counter(tuple(c.constraint for c in contacts) for contacts in order.values())
     if not sequences:
         return Skill(tuple(constraints), ())
     usual, times = sequences.most_common(1)[0]
-    chosen = {i: contacts for i, contacts in order.items() if tuple(c.constraint for c in contacts) == usual}
+    usual_ones = {i: contacts for i, contacts in order.items() if tuple(c.constraint for c in contacts) == usual}
     note = f"{times} of {counted(len(order), 'recording')} show the steps in this order; the others differ"
     steps: list[Step] = []
-    opening: dict[str, Any] = {}  # of the gripper that closed for the way before
+    opening: dict[str, Any] = {}  # of the gripper that closed in the step before
     for place, number in enumerate(usual):
-        constraint, pieces = constraints[number], [contacts[place].piece for contacts in chosen.values()]
-        shown = constraint.shown
+        constraint, pieces = constraints[number], [contacts[place].piece for contacts in usual_ones.values()]
+        demonstrated = constraint.shown
         if usual.count(number) > 1:
-            shown = demonstrated_motion(constraint.features, constraint.selection, constraint.mechanism, pieces)
-        takes = list[Take]()  # how the joints went to the contact, along it and away from it
-        few = [*chosen.items()] if constraint.robot is not None else []
+            demonstrated = demonstrated_motion(constraint.features, constraint.selection, constraint.mechanism, pieces)
+        takes = list[Take]()  # joint motions to the contact, along it and away from it
+        few = [*usual_ones.items()] if constraint.robot is not None else []
         for recording, contacts in (few[i] for i in evenly(len(few), MAX_TAKES)):
             ends = [float(x) for contact in contacts for x in contact.piece.time[[0, -1]]]
             between = [-np.inf, *ends, np.inf][2 * place : 2 * place + 4]
             takes.append(Take.of(constraint.robot, table.moved[recording], *between))
         reach = Step("reach", constraint, **opening)
-        closing, opening = _gripping(constraint.features, table, chosen, place)
-        steps += [reach, Step("way", constraint, shown, takes=tuple(takes), **closing)]
-    ends = [(contacts[-1].piece.q[-1], table.moved[recording].q[-1]) for recording, contacts in chosen.items()]
+        closing, opening = _grip_motion(constraint.features, table, usual_ones, place)
+        steps += [reach, Step("way", constraint, demonstrated, takes=tuple(takes), **closing)]
+    ends = [(contacts[-1].piece.q[-1], table.moved[recording].q[-1]) for recording, contacts in usual_ones.items()]
     twist = constraints[usual[-1]].features.twist
     if twist is not None:
         poses = twist.poses(np.concatenate(ends).reshape(2 * len(ends), -1))
         last, end = poses[0::2, :3, 3], poses[1::2, :3, 3]
-        if np.median(np.linalg.norm(end - last, axis=1)) > LEAVES:
+        if np.median(np.linalg.norm(end - last, axis=1)) > retreat:
             steps.append(Step("reach", None, place=np.median(end, axis=0), **opening))
     return Skill(tuple(constraints), tuple(steps), (note,) if times < len(order) else ())
 
 
-def _gripping(features: FeatureMap, table: Table, chosen: dict[int, list[_Contact]], k: int) -> list[dict[str, Any]]:
-    """Return what a gripper does in a step as contact begins, and what opens it again, as arguments of `Step`.
+def _grip_motion(features: FeatureMap, table: Table, demos: dict[int, list[_Contact]], k: int) -> list[dict[str, Any]]:
+    """Return the arguments of `Step` that close a gripper as contact begins, and the arguments that open it again.
 
-    Both are empty unless in most recordings joints that do not move the hand move or press then.
+    Both are empty unless in most recordings joints that do not move the hand move or press as contact begins.
     """
+    # smallest motion of a finger in a grasp, as a share of its range; smallest rise of its effort, as a share of its
+    # largest
+    least_move, least_rise = 0.1, 0.5
     robot, frame = getattr(features, "robot", None), getattr(features, "frame", None)
     if robot is None or frame is None or robot.nq != robot.nv:
         return [{}, {}]
@@ -85,23 +95,23 @@ def _gripping(features: FeatureMap, table: Table, chosen: dict[int, list[_Contac
     if not len(fingers):
         return [{}, {}]
     grips: list[tuple[np.ndarray, np.ndarray]] = []
-    for recording, contacts in chosen.items():
+    for recording, contacts in demos.items():
         piece, whole = contacts[k].piece, table.moved[recording]
         since = contacts[k - 1].piece.time[-1] if k else -np.inf
         before = (since < whole.time) & (whole.time < piece.time[0])
-        held = (piece.time[0] <= whole.time) & (whole.time <= piece.time[-1])
+        in_contact = (piece.time[0] <= whole.time) & (whole.time <= piece.time[-1])
         if not before.any():
             continue
-        reach, closed = whole.q[before][:, fingers], np.median(whole.q[held][:, fingers], axis=0)
+        reach, closed = whole.q[before][:, fingers], np.median(whole.q[in_contact][:, fingers], axis=0)
         opened = reach[np.argmax(np.max(np.abs(reach - closed) / ranges[fingers], axis=1))]
-        moves = np.abs(closed - opened) > GRIPS * ranges[fingers]
+        moves = np.abs(closed - opened) > least_move * ranges[fingers]
         if whole.effort is not None:
             efforts = np.abs(whole.effort[:, fingers])
-            rise = np.median(efforts[held], axis=0) - np.median(efforts[before], axis=0)
-            moves |= rise > PRESSES * np.max(efforts, axis=0)
+            rise = np.median(efforts[in_contact], axis=0) - np.median(efforts[before], axis=0)
+            moves |= rise > least_rise * np.max(efforts, axis=0)
         if moves.any():
             grips.append((closed, opened))
-    if len(grips) <= 0.5 * len(chosen):
+    if len(grips) <= 0.5 * len(demos):
         return [{}, {}]
     names = [robot.joint_names[i] for i in fingers]
     closed, opened = (dict(zip(names, map(float, q), strict=True)) for q in np.median(grips, axis=0))

@@ -35,36 +35,35 @@ from manip_learn.recordings.velocities import FEWEST_JUDGED, position_noise, pos
 from manip_learn.robot.robot import Robot
 from manip_learn.robot.tips import likely_tips
 
-# strength of a row with 99 % confidence, the choice paid for, from which it counts as held: free motion of a real arm
+# smallest strength of a held row with 99 % confidence, net of the selection among hypotheses: free motion of a real arm
 # that replays itself reaches 1.97, the best of 60 generated sets 1.6, contacts with rails, hinges and tables 15 to 500
-BELIEVED = 1.8
-SWITCH = 16.0  # [nats] a change of state: a chance of exp(-16) for each tenth of a second
-CHANGE = 0.1  # [s] samples closer together tell the same story; a change of what is held takes as long
-FARTHEST = 3.0  # [m] beyond this an axis or a centre is not told from a line or a plane
-OVER_NOISE = 4.0  # standard deviations beyond which it is motion
-SCAN_RATE = 25.0  # samples a second that are enough to judge a hypothesis
-SHORTEST = 3.0 * CHANGE  # [s] a stretch shorter than this is chance
-CUBIC = 4  # directions that a smooth motion fills of a window
-LEAST_GAIN = 40.0  # [nats] of a hypothesis over others: in the search without its best supporter, less its price
-# between the use of rows and of the next one: below the first nothing is told, from the second on it is clear
+STRENGTH = 1.8
+SWITCH = 16.0  # [nats] cost of a change of state: a probability of exp(-16) for each tenth of a second
+CHANGE = 0.1  # [s] duration of a change of state; samples closer together are not independent
+MAX_RANGE = 3.0  # [m] largest distance at which an axis or a centre can be distinguished from a line or a plane
+OVER_NOISE = 4.0  # [standard deviations of the noise] a larger change is motion
+SCAN_RATE = 25.0  # [Hz] sampling rate that suffices to judge a hypothesis
+MIN_TIME = 3.0 * CHANGE  # [s] shorter stretches occur by chance
+# [nats] smallest gain of a hypothesis over the others, net of its price; in the search without its best recording
+LEAST_GAIN = 40.0
+# ratio between the motion along the next direction and along the rows: refused below the first, clear above the second
 WEAK_GAP, CLEAR_GAP = 3.0, 10.0
-# [rad or m] less is no motion that is shown by hand, no slip, and no other shape: half a millimetre at the tip
+# [rad or m] smallest hand-guided motion, slip or difference of shape: half a millimetre at the tip
 LEAST_MOTION = 1e-3
-# share that is as good as none: of the free velocity, for rows that are held; of the way of a hand, for one place; of
-# the extent of a path, for another one on it (of 28 kinds of generated sets the nearest two are 3.6 % apart)
+# negligible share: of the free velocity for held rows; of the hand's path for one place; of the extent of a path for
+# another path on it (of 28 kinds of generated sets the nearest two are 3.6 % apart)
 SLIGHT = 0.01
-NONE = 1e-6  # share below which there is nothing: of the motion, for a joint; of the largest row of Phi of a unit
-# ratio to the usual speed, or distance from the middle, beyond which a sample is a fault of the recording: a hand that
-# usually moves at 1 mm/s would have to move at 10 m/s, and a posture within 1 rad of the middle be 10,000 rad off
+ZERO = 1e-6  # zero for all purposes: share of a joint in the motion; size of a row of Phi over the largest of its unit
+# a sample this many times faster than usual, or farther from the median posture, is a recording error: 10 m/s for a
+# hand that usually moves at 1 mm/s, or 10,000 rad for postures within 1 rad of the median
 OUTLIER_FACTOR = 1e4
-# [rad/s or m/s] of the fastest joint, below which it is at rest: encoder noise of 1e-4 rad at 100 Hz looks like 0.014
+# [rad/s or m/s] an arm whose fastest joint is slower rests: encoder noise of 1e-4 rad at 100 Hz looks like 0.014
 REST_SPEED = 0.02
-# postures closer together than this share of their size are one and the same, and less of it in a second is no motion
+# postures whose distance is a smaller share of their size are equal; a smaller speed [rad/s or m/s] is rest
 _SAME = 1e-9
-MOST_SAMPLES = 20_000  # that are learnt from; Phi of these, with 6 rows and 7 joints, takes 6.7 MB
-FEWEST_RECORDINGS = 20  # that are kept of more, however long they are: evidence from fewer is thin
-STEPS = 2 ** np.arange(40)  # every so many samples are kept
-PATIENCE = "10s"  # for a scheduler that is elsewhere
+MOST_SAMPLES = 20_000  # samples in a fit; their Phi with 6 rows and 7 joints takes 6.7 MB
+STEPS = 2 ** np.arange(40)  # candidate subsampling steps: one sample of each step is kept
+PATIENCE = "10s"  # timeout for a remote scheduler
 
 EstimatorName = Literal["auto", "joint", "null-space", "separate"]
 
@@ -74,10 +73,10 @@ class ArmErrors:
     """Prior standard deviations of the errors of an arm.
 
     Attributes:
-        zeros: Of each joint offset [rad, sliding joints m]; with 0, errors that no residual shows are taken for zero,
-            of links too.
-        links: Of position [m] and orientation [rad], along each axis, of each joint after the first in the frame of the
-            previous link, and of the frame in that of the last link.
+        zeros: Standard deviation of each joint offset [rad, m for sliding joints]. With 0, errors that no residual
+            shows are taken for zero, also link errors.
+        links: Standard deviation of the position [m] and orientation [rad], along each axis, of each joint after the
+            first in the frame of the previous link, and of the frame in the frame of the last link.
     """
 
     zeros: float = 0.0
@@ -93,7 +92,7 @@ class Settings:
     policy_model: str = "auto"
     phases: bool = True
     mechanism: bool = True
-    strength: float = BELIEVED
+    strength: float = STRENGTH
     switch: float = SWITCH
     habits: bool = False
     arm: ArmErrors = ArmErrors()
@@ -118,9 +117,9 @@ class Hand:
 
     Attributes:
         of: Feature map of the whole twist of the frame; None for features without a frame.
-        x, step: shape (n, nv), positions without jumps, and tangent vectors to the next sample of the recording; zero
-            at its last one [rad or m].
-        poses, J: shape (n, 4, 4) and (n, 6, nv), at all samples; None without a frame.
+        x, step: Arrays (n, nv) of positions without jumps, and tangent vectors to the next sample of the recording;
+            zero at its last sample [rad or m].
+        poses, J: Arrays (n, 4, 4) and (n, 6, nv), pose and Jacobian of the frame at all samples; None without a frame.
     """
 
     poses: Any
@@ -128,9 +127,9 @@ class Hand:
 
     def __init__(self, features: FeatureMap, table: Table):
         robot, self.of = features.robot, features.twist
-        known = [None if robot is None else positions_along(t, robot) for t in table.moved]
-        self.x = np.concatenate([t.q if x is None else x for x, t in zip(known, table.moved, strict=True)])
-        self.step = np.concatenate([steps_along(robot, self.x), np.zeros((1, table.u.shape[1]))])
+        continuous = [None if robot is None else positions_along(t, robot) for t in table.moved]
+        self.x = np.concatenate([t.q if x is None else x for x, t in zip(continuous, table.moved, strict=True)])
+        self.step = np.concatenate([tangents(robot, self.x), np.zeros((1, table.u.shape[1]))])
         self.step[table.first[1:] - 1] = 0.0
         self.poses, self.J = (None, None) if self.of is None else (self.of.poses(table.q), self.of.batch(table.q))
 
@@ -143,7 +142,14 @@ class Hand:
         return out
 
     def rows(self, features: Any) -> np.ndarray:
-        """Return Phi of features of this hand at all samples, shape (n, p, nv)."""
+        """Return Phi of features of this hand at all samples.
+
+        Args:
+            features: Feature map of the same robot and frame.
+
+        Returns:
+            Array (n, p, nv).
+        """
         return features.batch(self.x) if self.of is None else features.weights_at(self.poses) @ self.J
 
 
@@ -180,7 +186,15 @@ class Table:
         self._hands: dict[str, Hand] = {}
 
     def hand(self, features: FeatureMap) -> Hand:
-        """Return the samples of the robot and the frame of some features, evaluated once."""
+        """Return the samples of the robot and the frame of some features, evaluated once.
+
+        Args:
+            features: Feature map.
+
+        Returns:
+            Samples with the poses and Jacobians of the frame of the features, shared by all features of this robot and
+            frame.
+        """
         twist = features.twist
         key = f"{id(features.robot)}" if twist is None else f"{id(features.robot)} {twist.describe()}"
         if key not in self._hands:
@@ -188,46 +202,72 @@ class Table:
         return self._hands[key]
 
     def inside(self, stretches: Sequence[Stretch], learnt_from: bool = False) -> np.ndarray:
-        """Return a mask of the samples in any of the stretches; or of those from which rows are learnt.
+        """Return a mask of the samples in any of the stretches.
 
-        Rows are not learnt from the ends of stretches, which belong to a transition, except at the ends of a recording.
+        Args:
+            stretches: Parts of recordings.
+            learnt_from: True to leave out the first and last tenth of a second of each stretch, which belong to a
+                transition, except at the ends of a recording.
+
+        Returns:
+            Boolean array (n,).
         """
         out = np.zeros(len(self.time), dtype=bool)
         for i, start, end in stretches:
-            own, (low, high) = slice(self.first[i], self.first[i + 1]), self.ends[i]
+            samples, (low, high) = slice(self.first[i], self.first[i + 1]), self.ends[i]
             start, end = start + CHANGE * learnt_from * (start > low), end - CHANGE * learnt_from * (end < high)
-            out[own] |= (self.time[own] >= start) & (self.time[own] <= end)
+            out[samples] |= (self.time[samples] >= start) & (self.time[samples] <= end)
         return out
 
     def samples(self, s: Stretch) -> np.ndarray:
-        """Return the numbers of the samples of a stretch from which rows are learnt."""
+        """Return the numbers of the samples of a stretch from which rows are learnt.
+
+        Args:
+            s: Part of a recording.
+        """
         return np.flatnonzero(self.inside([s], learnt_from=True))
 
 
 def excitation(names: Sequence[str], u: np.ndarray) -> tuple[dict[str, float], list[str]]:
-    """Return the share of each joint in the energy of the motion, and the joints that hardly move, if others do."""
+    """Return the share of each joint in the energy of the motion, and the joints that hardly move, if others do.
+
+    Args:
+        names: Names of the joints.
+        u: Array (n, nv) of joint velocities [rad/s or m/s].
+
+    Returns:
+        Joint name -> share of the energy; and the names of joints with less than a millionth of it, unless all have.
+    """
     energy = np.sum(u**2, axis=0)
     shares = dict(zip(names, (energy / max(float(energy.sum()), np.finfo(np.float64).tiny)).tolist(), strict=True))
-    still = [name for name, share in shares.items() if share < NONE]
+    still = [name for name, share in shares.items() if share < ZERO]
     return shares, still if len(still) < len(shares) else []
 
 
 def velocity_noise(time: np.ndarray, u: np.ndarray) -> float:
-    """Return the variance of the noise of joint velocities [(rad/s)^2].
+    """Return the variance of the noise of joint velocities.
 
-    It is the residual of cubics in short windows, or of the four strongest directions of the joints, the smaller one.
+    It is the smaller of two residuals: of cubics in short windows, and of the four strongest directions of the joints.
+
+    Args:
+        time: Array (T,) of times [s].
+        u: Array (T, nv) of joint velocities [rad/s or m/s].
+
+    Returns:
+        Variance [(rad/s)^2].
     """
+    smooth = 4  # directions that a smooth motion fills in a window, and coefficients of a cubic
     T, nv = u.shape
     length = min(T, max(2 * nv, int(np.searchsorted(time, time[0] + 0.6))))
     windows = np.stack([u[a : a + length] for a in np.arange(0, T - length + 1, max(1, length // 2))])
-    left = []
-    if nv > CUBIC:
+    residuals = []
+    if nv > smooth:
         values = np.linalg.eigvalsh(np.einsum("wti,wtj->wij", windows, windows) / length)
-        left.append(np.mean(values[:, : nv - CUBIC], axis=1))
-    if length > CUBIC:
-        cubic = np.linalg.qr(np.vander(np.linspace(-1.0, 1.0, length), CUBIC))[0]
-        left.append(np.sum((windows - cubic @ (cubic.T @ windows)) ** 2, axis=(1, 2)) / ((length - CUBIC) * nv))
-    least = min((float(np.median(x)) for x in left), default=0.0)
+        residuals.append(np.mean(values[:, : nv - smooth], axis=1))
+    if length > smooth:
+        cubic = np.linalg.qr(np.vander(np.linspace(-1.0, 1.0, length), smooth))[0]
+        residuals.append(np.sum((windows - cubic @ (cubic.T @ windows)) ** 2, axis=(1, 2)) / ((length - smooth) * nv))
+    least = min((float(np.median(x)) for x in residuals), default=0.0)
     return max(least, 1e-10 * float(np.mean(u**2)), 1e-24)
 
 
@@ -257,7 +297,13 @@ class Samples(NamedTuple):
     moving: np.ndarray
 
     def at(self, k: np.ndarray, first: np.ndarray, **other: np.ndarray) -> Samples:
-        """Return the samples k, with their first ones and other fields."""
+        """Return some of the samples.
+
+        Args:
+            k: Numbers of the samples.
+            first: Array (g + 1,), first of these samples in each of g recordings, and their number.
+            **other: Fields that replace the selected ones.
+        """
         return Samples(**{n: x[k] for n, x in self._asdict().items() if n != "first"} | {"first": first} | other)
 
 
@@ -265,13 +311,13 @@ def whitening(Phi: np.ndarray, units: Sequence[str]) -> np.ndarray:
     """Return the matrix W (r, p) with W S W^T = I of the mean S of Phi Phi^T, without rows that hardly move.
 
     Args:
-        Phi: shape (n, p, nv).
+        Phi: Array (n, p, nv) of features.
         units: Unit of each row; rows are compared with others of their unit.
     """
     S = np.einsum("npv,nqv->pq", Phi, Phi, optimize=True) / len(Phi)
     size, names = np.sqrt(np.diag(S)), np.array(units)
-    moves = np.array([size[i] > NONE * size[names == unit].max() for i, unit in enumerate(names)])
-    return whitener(S * np.outer(moves, moves), NONE**2)
+    moves = np.array([size[i] > ZERO * size[names == unit].max() for i, unit in enumerate(names)])
+    return whitener(S * np.outer(moves, moves), ZERO**2)
 
 
 class View:
@@ -280,12 +326,12 @@ class View:
     Attributes:
         features, table: Feature map and table.
         hand: Samples of its robot and frame.
-        W: shape (r, p), whitening matrix; r is 0 if the frame does not move.
-        Phi: shape (n, r, nv), whitened features of all samples.
+        W: Whitening matrix (r, p); r is 0 if the frame does not move.
+        Phi: Array (n, r, nv), whitened features of all samples.
         largest: Largest number of rows that leave a null space.
         all, thin: All samples, and evenly spaced ones for the search.
         tried: Number of hypotheses, of all views, among which one of this view is selected.
-        turns, curved: True with rows of rotation; if surfaces of second order are constant rows.
+        turns, curved: True if a row is a rotation; True if surfaces of second order are constant rows.
     """
 
     def __init__(self, features: FeatureMap, table: Table):
@@ -315,58 +361,103 @@ class View:
         rates = np.einsum("npv,nv->np", self.hand.between.rows(self.features), self.hand.step)
         return np.insert(np.cumsum(rates[:-1], axis=0), 0, 0.0, axis=0) @ self.W.T
 
-    def of_recording(self, i: int, alone: Table) -> View:
-        """Return the view of one recording alone, with its table, whitened as that of all."""
+    def for_recording(self, i: int, alone: Table) -> View:
+        """Return the view of one recording alone, with the whitening matrix of all recordings.
+
+        Args:
+            i: Number of the recording.
+            alone: Table of this recording.
+        """
         out, each = copy.copy(self), [(m, np.arange(*m.first[i : i + 2])) for m in (self.all, self.thin)]
         out.all, out.thin = (m.at(k, np.array([0, len(k)]), recording=0 * k) for m, k in each)
         out.table = alone
         return out
 
     def way(self, inside: np.ndarray, rows: np.ndarray) -> np.ndarray:
-        """Return the integral of the velocities along whitened rows (s, r) over a mask of samples, shape (k, s)."""
+        """Return the integral of the velocities along whitened rows over some samples.
+
+        Args:
+            inside: Boolean mask (n,) with k selected samples.
+            rows: Array (s, r) of whitened rows.
+
+        Returns:
+            Array (k, s) of displacements.
+        """
         return np.cumsum(self.all.rates[inside] * self.all.weight[inside, None], axis=0) @ rows.T
 
-    def steady(self, rows: np.ndarray, stretches: Sequence[Stretch]) -> list[Stretch]:
-        """Return the stretches that rest along the rows as most do; in the others the hand slips."""
+    def steady_stretches(self, rows: np.ndarray, stretches: Sequence[Stretch]) -> list[Stretch]:
+        """Return the stretches that rest along the rows as most do; in the others the hand slips.
+
+        Args:
+            rows: Array (s, r) of whitened rows.
+            stretches: Stretches to compare.
+
+        Returns:
+            All stretches if no more than half of them rest.
+        """
         m, moved, noise = self.all, [], []
         for inside in (self.table.inside([x]) for x in stretches):
             moved.append(np.sqrt(np.sum(np.var(self.way(inside, rows), axis=0))) if inside.any() else 0.0)
             noise.append(2.0 * OVER_NOISE * np.sqrt(len(rows) * np.sum(m.noise[inside] * m.weight[inside] ** 2)))
         usual = OVER_NOISE * np.median(moved) if moved else 0.0
         most = np.maximum(max(usual, LEAST_MOTION), np.minimum(noise, 2.0 * usual))
-        kept = [x for x, way, least in zip(stretches, moved, most, strict=True) if way <= least]
-        return kept if 2 * len(kept) > len(stretches) else list(stretches)
+        steady = [x for x, way, least in zip(stretches, moved, most, strict=True) if way <= least]
+        return steady if 2 * len(steady) > len(stretches) else list(stretches)
 
-    def sharpened(self, rows: np.ndarray, s: Stretch) -> Stretch:
+    def trim(self, rows: np.ndarray, s: Stretch) -> Stretch:
         """Return the stretch without ends that have moved along the rows further than its inner part.
 
         A hand that leaves a surface at a flat angle has moved along the rows before its velocity shows it.
+
+        Args:
+            rows: Array (s, r) of whitened rows.
+            s: Part of a recording.
+
+        Returns:
+            Shorter stretch; the same one if it is too short to compare.
         """
         inside = self.table.inside([s])
         time = self.table.time[inside]
-        inner = (time >= s.start + SHORTEST) & (time <= s.end - SHORTEST)
-        if s.end - s.start < 4.0 * SHORTEST or np.count_nonzero(inner) < 10:
+        inner = (time >= s.start + MIN_TIME) & (time <= s.end - MIN_TIME)
+        if s.end - s.start < 4.0 * MIN_TIME or np.count_nonzero(inner) < 10:
             return s
         way = self.way(inside, rows)
         away = np.linalg.norm(way - np.median(way[inner], axis=0), axis=1)
-        left = time[(away > 2.5 * np.quantile(away[inner], 0.9)) & ~inner]
-        before, after = left[left < s.start + SHORTEST], left[left > s.end - SHORTEST]
+        times_away = time[(away > 2.5 * np.quantile(away[inner], 0.9)) & ~inner]
+        before, after = times_away[times_away < s.start + MIN_TIME], times_away[times_away > s.end - MIN_TIME]
         first, last = self.table.ends[s.recording]
         start = float(time[time > before[-1]][0]) if len(before) and s.start > first else s.start
         end = float(time[time < after[0]][-1]) if len(after) and s.end < last else s.end
         return Stretch(s.recording, start, end)
 
     def selection(self, rows: np.ndarray) -> np.ndarray:
-        """Return Lambda in the features' own rows, orthonormal, from whitened ones."""
+        """Return Lambda in the rows of the features.
+
+        Args:
+            rows: Array (s, r) of whitened rows.
+
+        Returns:
+            Orthonormal array (s, p).
+        """
         return pivoted_rows(rows @ self.W)
 
 
-def maps_of(asked: Sequence[FeatureMap], table: Table, what: Literal["place", "whole", "surface"]) -> list[FeatureMap]:
-    """Return the rows to search for any requested axes: along those axes, and where mechanisms rest.
+def row_maps(asked: Sequence[FeatureMap], table: Table, what: Literal["place", "whole", "surface"]) -> list[FeatureMap]:
+    """Return the feature maps to search for any requested axes: along those axes, and where mechanisms are constant
+    rows.
 
-    They are rows of the position of the hand, in which the search begins (features without any are returned as they
-    are); of its whole twist, in which mechanisms are constant; or those in which surfaces of second order are constant.
-    The frame is the first that was asked for, seen from where its rows see it; places are counted from its mean.
+    The frame is the first requested one, seen from the frame in which its rows are; places are counted from its mean
+    position.
+
+    Args:
+        asked: Requested feature maps.
+        table: Samples.
+        what: `"place"` for rows of the position of the hand, in which the search begins (requested maps without such
+            rows are included as they are); `"whole"` for rows of its whole twist, in which mechanisms are constant;
+            `"surface"` for rows in which surfaces of second order are constant.
+
+    Returns:
+        Distinct feature maps.
     """
     frames, others = [f for f in asked if isinstance(f, PoseRows)], list[FeatureMap]()
     if what == "place":
@@ -374,18 +465,26 @@ def maps_of(asked: Sequence[FeatureMap], table: Table, what: Literal["place", "w
         others = [f for f in asked if f not in frames]
     axes = {"place": AXES[:3], "whole": AXES, "surface": ()}[what]
     forms: dict[str, tuple[PlaceForm, ...]] = {"place": ("point",), "whole": ("point and rotation", "twist")}
-    maps = [*(seen.changed(axes=axes) for f in frames if axes for seen in (f, f.twist)), *others]
+    maps = [*(map_.changed(axes=axes) for f in frames if axes for map_ in (f, f.twist)), *others]
     for f in frames[:1]:
         middle = table.hand(f).poses[:: max(1, len(table.q) // 500), :3, 3].mean(axis=0)
         maps += [PlaceRows(f.robot, f.frame.name, m, middle, **f.seen_from) for m in forms.get(what, ("surface",))]
-    known: dict[str | int, FeatureMap] = {}
+    distinct: dict[str | int, FeatureMap] = {}
     for f in maps:
-        known.setdefault(str(f.describe()) if isinstance(f, PoseRows) else id(f), f)
-    return list(known.values())
+        distinct.setdefault(str(f.describe()) if isinstance(f, PoseRows) else id(f), f)
+    return list(distinct.values())
 
 
-def steps_along(robot: Robot | None, x: np.ndarray) -> np.ndarray:
-    """Return the tangent vectors from each posture to the next, shape (n - 1, nv): differences, but of orientations."""
+def tangents(robot: Robot | None, x: np.ndarray) -> np.ndarray:
+    """Return the tangent vectors from each posture to the next.
+
+    Args:
+        robot: Robot; None if positions are plain numbers.
+        x: Array (n, nq) of postures [rad or m].
+
+    Returns:
+        Array (n - 1, nv): differences, except for orientations.
+    """
     if robot is None or robot.positions_add_up:
         return np.diff(x, axis=0)
     return np.array([robot.difference(*pair) for pair in pairwise(x)])
@@ -398,7 +497,7 @@ def refuse_unusable(recorded: Demonstrations, derived: Demonstrations, features:
     """Refuse recordings in which nothing moves, of another hand, or with a velocity far out of line with all others.
 
     Args:
-        recorded: Recordings as they were given.
+        recorded: Recordings as they were passed.
         derived: The same with velocities.
         features: First feature map.
 
@@ -406,7 +505,7 @@ def refuse_unusable(recorded: Demonstrations, derived: Demonstrations, features:
         NotIdentifiableError: No joint moves beyond the noise of its encoder, or none that moves the frame.
         RecordingError: There is an outlier.
     """
-    found = []
+    largest = []
     for t in recorded:
         if len(t) < FEWEST_JUDGED:
             break
@@ -415,16 +514,16 @@ def refuse_unusable(recorded: Demonstrations, derived: Demonstrations, features:
         if moved[j] >= 3.0 * OVER_NOISE * noise[j] and np.max(moved) >= LEAST_MOTION:
             break
         joint = t.joint_names[j] if len(t.joint_names) == t.q.shape[1] else f"column {j}"
-        said = f"{joint} in {t.name}, by {moved[j]:.2g} where its noise is {noise[j]:.2g} (standard deviation)"
-        found.append((moved[j] / noise[j], said))
+        moves_by = f"of {joint} in {t.name}, {moved[j]:.2g} with a noise of {noise[j]:.2g} (standard deviation)"
+        largest.append((moved[j] / noise[j], moves_by))
     else:
-        least = f"the noise of its positions does, and {LEAST_MOTION:g} rad or m"
-        why = f"no joint moves farther than {least}: the farthest is {max(found)[1]}: record a motion"
+        least = f"its encoder noise and {LEAST_MOTION:g} rad or m"
+        why = f"no joint moves further than {least}; the largest motion is {max(largest)[1]}: record a motion"
         raise NotIdentifiableError(why, code="no-motion")
-    # a velocity far out of line with all others
+    # outliers of the velocity
     u = np.concatenate([np.asarray(t.u) for t in derived])
     speed = np.linalg.norm(u, axis=1)
-    sample, moving = int(np.argmax(speed)), speed > _SAME  # slopes of a rest without noise are what rounding leaves
+    sample, moving = int(np.argmax(speed)), speed > _SAME  # at rest without noise the slopes are rounding errors
     ratio = float(speed[sample]) / float(np.median(speed[moving])) if np.any(moving) else 0.0
     if ratio > OUTLIER_FACTOR:
         number = np.searchsorted(np.cumsum([len(t) for t in derived]), sample, side="right")
@@ -432,28 +531,31 @@ def refuse_unusable(recorded: Demonstrations, derived: Demonstrations, features:
         moves = f"moves at {u[sample, joint]:.3g} in joint {derived.joint_names[joint]!r}, {ratio:.1e} times"
         text = f"sample {sample} (trajectory {number}) {moves} the median speed: remove the outlier"
         raise RecordingError(text, code="outlier")
-    # joints that move, but none of those that move the frame
+    # joints move, but none of them moves the frame
     if not isinstance(features, FrameJacobian) or any(t.q.shape[1] != features.nv for t in derived):
         return
     robot, frame = features.robot, features.frame.name
     span = np.max([np.ptp(t.q, axis=0) for t in derived], axis=0)
     moved = [joint for joint, s in zip(robot.joint_names, span, strict=True) if s > MOVED]
-    own = np.array([robot.moves(joint, frame) for joint in robot.joint_names])
-    if moved and own.any() and not np.any(span[own] > MOVED):
+    moves_hand = np.array([robot.moves(joint, frame) for joint in robot.joint_names])
+    if moved and moves_hand.any() and not np.any(span[moves_hand] > MOVED):
         hand = next((tip for tip in likely_tips(robot) if any(robot.moves(joint, tip) for joint in moved)), "")
         how = advice(": name it with {}", f"frame={hand!r}", f"--frame {hand}")
-        least = f"its joints changed by {np.max(span[own]):.2g} (rad or m) at most, {MOVED:g} is a motion"
+        least = f"its joints changed by {np.max(span[moves_hand]):.2g} (rad or m) at most, {MOVED:g} is a motion"
         why = f"{least}; what moved is {named('joint', moved)}{f', which move {hand!r}{how}' if hand else ''}"
         raise NotIdentifiableError(f"{frame!r} stood still: {why}", code="still-hand")
 
 
-def unusable(table: Table, r: int, n_constraints: int | None) -> NotIdentifiableError | RecordingError | None:
-    """Return why nothing can be learnt of r independent rows from these samples; None if something can.
+def table_refusal(table: Table, r: int, n_constraints: int | None) -> NotIdentifiableError | RecordingError | None:
+    """Return the reason why rows cannot be learnt from these samples; None if there is none.
 
     Args:
-        table: The samples.
+        table: Samples.
         r: Number of independent rows of the features.
-        n_constraints: Number of rows to learn, if it was asked for.
+        n_constraints: Number of rows to learn; None if it follows from the data.
+
+    Returns:
+        Refusal, or None.
     """
     if table.u.shape[1] < 2:
         return NotIdentifiableError("a constraint leaves no null space for a single joint", code="no-freedom")
@@ -466,7 +568,7 @@ def unusable(table: Table, r: int, n_constraints: int | None) -> NotIdentifiable
     if distance[farthest] <= _SAME * (1.0 + float(np.linalg.norm(middle))):
         text = "the posture never changes though the velocities are not zero: give each sample its own posture"
         return NotIdentifiableError(text, code="constant-posture")
-    # standing still at the median posture for long is no reason to call all motion far out
+    # a long rest at the median posture must not make all motion an outlier
     usual = float(np.quantile(distance, 0.9)) or float(np.mean(np.delete(distance, farthest)))
     if 0.0 < usual * OUTLIER_FACTOR < distance[farthest]:
         where = f"the posture of sample {farthest} (trajectory {table.recording[farthest]})"
@@ -478,24 +580,24 @@ def unusable(table: Table, r: int, n_constraints: int | None) -> NotIdentifiable
     if (different := len(np.unique(samples, axis=0))) >= needed:
         return None
     few = f"{counted(different, 'different moving sample')} cannot determine a constraint on {counted(r, 'row')}"
-    return NotIdentifiableError(f"record more: {few}, {needed} can and many more are better", code="too-few-samples")
+    return NotIdentifiableError(f"record more: {few}, {needed} can, and many more are better", code="too-few-samples")
 
 
 # ------------------------------------ even subsampling of large sets while they are read, here or by dask's workers
 #
-# Neighbours tell the same story, so they are left out first: every second sample of each recording, every fourth, and
-# so on. Where that would leave too few samples a second to see phases, recordings are left out. What is chosen depends
-# on all recordings together, and on nothing else: not on the order or the parts in which they are read, nor on who
-# reads. Using half of 16,361 samples of fifty drawers turns the answer by 0.0005 degrees, less than its uncertainty.
+# Neighbouring samples carry the same information, so they are dropped first: every second sample of each recording is
+# kept, then every fourth, and so on. Where too few samples a second would remain to see phases, recordings are dropped.
+# The choice depends only on the set of all recordings, not on the order or the parts in which they are read, nor on
+# the reader. Half of 16,361 samples of fifty drawers turn the answer by 0.0005 degrees, less than its uncertainty.
 
 
-class Kept(NamedTuple):
-    """Recording of which every `step`-th sample is kept; at its coarsest every `coarsest`-th."""
+class KeptRecording(NamedTuple):
+    """Recording of which every `step`-th sample is kept, or every `coarsest`-th at most."""
 
     motion: Trajectory
     number: int
     coarsest: int
-    rank: int  # recordings of the lowest are kept: a hash of the postures, as good as drawn by lot
+    rank: int  # hash of the postures, as good as a random draw: recordings with the lowest ones are kept
     step: int = 1
 
 
@@ -504,8 +606,8 @@ class EvenChoice:
     """Even choice of the samples of some files, which grows by `merge`; unchanged while all fit.
 
     Args:
-        most: Number of samples that are chosen at most.
-        derive: Gives recordings velocities, before samples are left out.
+        most: Largest number of samples kept.
+        derive: Function that adds velocities to recordings, before samples are dropped.
         part: Reader of recordings; None for an empty choice.
 
     Attributes:
@@ -518,14 +620,15 @@ class EvenChoice:
     """
 
     def __init__(self, most: int, derive: Callable[[Demonstrations], Demonstrations], part: Reader | None = None):
+        fewest = 20  # recordings kept of more, however long: evidence from fewer is thin
         self._most, self._derive, self._held = most, derive, 0
-        self.kept, self.notes, self.n_recordings = list[Kept](), list[str](), 0
-        self._totals = np.zeros(len(STEPS), dtype=np.int64)  # samples that each step would leave of all recordings
+        self.kept, self.notes, self.n_recordings = list[KeptRecording](), list[str](), 0
+        self._totals = np.zeros(len(STEPS), dtype=np.int64)  # samples of all recordings that each step would keep
         for t in () if part is None else part(self.notes):
-            # stamps are rounded; a recording keeps enough samples for phases, but no more than its share
-            rate, share = (len(t) - 1) / max(t.duration, 1e-9) * (1.0 + 1e-6), self._most / FEWEST_RECORDINGS
+            # time stamps are rounded; a recording keeps enough samples for phases, but no more than its share
+            rate, share = (len(t) - 1) / max(t.duration, 1e-9) * (1.0 + 1e-6), self._most / fewest
             coarsest = int(STEPS[(rate / STEPS >= SCAN_RATE) | (2 * len(t) / STEPS > share)].max(initial=1))
-            self.kept.append(Kept(t, self.n_recordings, coarsest, crc32(t.q.data)))
+            self.kept.append(KeptRecording(t, self.n_recordings, coarsest, crc32(t.q.data)))
             self._totals += -(-len(t) // np.minimum(STEPS, coarsest))
             self._held += len(t)
             self.n_recordings += 1
@@ -534,7 +637,11 @@ class EvenChoice:
         self._thin()
 
     def merge(self, later: EvenChoice) -> None:
-        """Add the recordings of another choice, which is not changed."""
+        """Add the recordings of another choice, which is not changed.
+
+        Args:
+            later: Choice from further files.
+        """
         self._totals += later._totals
         self.kept += later.kept
         self.n_recordings += later.n_recordings
@@ -542,18 +649,18 @@ class EvenChoice:
         self._thin()
 
     def _thin(self) -> None:
-        """Leave out samples, and whole recordings if necessary, until the rest is small enough."""
-        steps, kept = STEPS[self._totals <= self._most], self.kept
+        """Drop samples, and whole recordings if necessary, until at most `most` samples are kept."""
+        steps, rest = STEPS[self._totals <= self._most], self.kept
         if not steps.size:
-            order = np.argsort([k.rank for k in kept], kind="stable")
-            fit = np.cumsum([-(-len(kept[i].motion) * kept[i].step // kept[i].coarsest) for i in order]) <= self._most
-            kept = [kept[i] for i in np.sort(order[fit])]
-        for i, k in enumerate(kept):
+            order = np.argsort([k.rank for k in rest], kind="stable")
+            fit = np.cumsum([-(-len(rest[i].motion) * rest[i].step // rest[i].coarsest) for i in order]) <= self._most
+            rest = [rest[i] for i in np.sort(order[fit])]
+        for i, k in enumerate(rest):
             step = min(k.coarsest, int(steps.min(initial=STEPS[-1])))
             if step > k.step:
                 motion = k.motion if k.step > 1 else self._derive(Demonstrations([k.motion]))[0]
-                kept[i] = k._replace(motion=motion.part(slice(None, None, step // k.step)), step=step)
-        self.kept, self._held = kept, sum(len(k.motion) for k in kept)
+                rest[i] = k._replace(motion=motion.part(slice(None, None, step // k.step)), step=step)
+        self.kept, self._held = rest, sum(len(k.motion) for k in rest)
 
     @property
     def demonstrations(self) -> Demonstrations:
@@ -562,60 +669,72 @@ class EvenChoice:
         Raises:
             RecordingError: There are none.
         """
-        chosen, notes = Demonstrations(k.motion for k in self.kept), dict.fromkeys(self.notes)
+        recordings, notes = Demonstrations(k.motion for k in self.kept), dict.fromkeys(self.notes)
         if self._held < self._totals[0]:
-            kept = f"{counted(self._held, 'sample')} of {counted(len(chosen), 'recording')}"
-            notes[f"learnt from {kept}, chosen evenly out of {self._totals[0]:,} of {self.n_recordings:,}"] = None
-        return Demonstrations(chosen, notes)
+            share = f"{counted(self._held, 'sample')} of {counted(len(recordings), 'recording')}"
+            notes[f"learnt from {share}, chosen evenly out of {self._totals[0]:,} of {self.n_recordings:,}"] = None
+        return Demonstrations(recordings, notes)
 
 
 def read_evenly(choose: Callable[..., Any], parts: list[Reader], client: Any, progress: Progress | None) -> EvenChoice:
-    """Return the choice from parts, each read once; it does not depend on the number of workers.
+    """Return the choice from all parts, each read once; it does not depend on the number of workers.
+
+    Args:
+        choose: Function of a part that returns an `EvenChoice`; without an argument, an empty one.
+        parts: Readers of recordings.
+        client: A `dask.distributed.Client`; None to read in this process.
+        progress: Function of the name of a stage and its completed share; None for none.
 
     Raises:
-        RecordingError: Recordings that cannot be used; or a setting that no part has a use for.
-        ManipLearnError: Workers die again and again, or their scheduler does.
+        RecordingError: Recordings cannot be used, or a setting matches no part.
+        ManipLearnError: The workers of the client died.
     """
     whole: EvenChoice = choose()
-    for choice in each_part(choose, parts, client, progress):
+    for choice in map_parts(choose, parts, client, progress):
         whole.merge(choice)
     whole.notes = refuse_unmatched(whole.notes, len(parts))
     return whole
 
 
-def each_part(work: Callable[..., Any], parts: list[Reader], client: Any, progress: Progress | None) -> Iterator[Any]:
-    """Yield work(part) of each part, in order; by the workers of a client if there are several parts.
+def map_parts(work: Callable[..., Any], parts: list[Reader], client: Any, progress: Progress | None) -> Iterator[Any]:
+    """Yield work(part) for each part, in order; on the workers of a client if there are several parts.
+
+    Args:
+        work: Function of a part.
+        parts: Readers of recordings.
+        client: A `dask.distributed.Client`; None to work in this process.
+        progress: Function of the name of a stage and its completed share; None for none.
 
     Raises:
-        ManipLearnError: Workers die again and again, or their scheduler does.
+        ManipLearnError: The workers of the client died.
     """
     futures, died = list[Any](), tuple[type[Exception], ...]()
     if client is not None and len(parts) > 1:
         from dask.distributed import KilledWorker
 
         futures, died = client.map(work, parts, pure=False), (KilledWorker, CancelledError)
-    for done, part in enumerate(parts, 1):
+    for number, part in enumerate(parts, 1):
         try:
-            result = futures.pop(0).result() if futures else work(part)  # what was fetched is held by no worker
+            result = futures.pop(0).result() if futures else work(part)  # fetched results are freed on the workers
         except died as error:
             raise ManipLearnError(f"dask's workers died ({error}): is there enough memory for each?") from error
         yield result
         if progress is not None:
-            progress("reading", done / len(parts))
+            progress("reading", number / len(parts))
 
 
 def dask_client(address: str | None, n_workers: int | None = None) -> AbstractContextManager[Any]:
-    """Connect to a scheduler, or start a cluster on this machine that nobody else can reach.
+    """Open a connection to a scheduler, or start a cluster that is only reachable from this machine.
 
     Args:
         address: `"local"`, or the address of a scheduler, e.g. `"tcp://10.0.0.1:8786"`; None for no client.
-        n_workers: Number of workers of a local cluster, processes with one thread; one per processor by default.
+        n_workers: Number of workers of a local cluster, processes with one thread; None for one per processor.
 
     Returns:
         Context manager of the client, or of None.
 
     Raises:
-        ManipLearnError: Nobody answers at the address.
+        ManipLearnError: No scheduler answers at the address.
         MissingExtraError: dask is not installed.
     """
     if address is None:
@@ -624,7 +743,7 @@ def dask_client(address: str | None, n_workers: int | None = None) -> AbstractCo
         from dask.distributed import Client
     except ImportError as error:
         raise MissingExtraError("learning on a dask cluster", "dask") from error
-    # by default all networks see the dashboard
+    # by default the dashboard is visible on all networks
     here: dict[str, Any] = {"n_workers": n_workers, "threads_per_worker": 1, "dashboard_address": "127.0.0.1:0"}
     try:
         return Client(timeout=PATIENCE, **(here if address == "local" else dict[str, Any](address=address)))

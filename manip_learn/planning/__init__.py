@@ -1,1 +1,1 @@
-"""Plans: in which posture to take hold, and how to get there, so that the whole way can be done."""
+"""Planning of grasp configurations, approaches and whole tasks."""

@@ -1,4 +1,4 @@
-"""From any start: the posture in which to take hold, how to get there, and the way, so that all of it can be done."""
+"""Planner of a grasp configuration, an approach and a motion, so that the whole motion is feasible from any start."""
 
 from __future__ import annotations
 
@@ -30,43 +30,33 @@ from manip_learn.planning import ways
 from manip_learn.planning.clearance import Clearance, Links, Surroundings
 from manip_learn.planning.joint_path import joint_path
 from manip_learn.planning.scene import Scene
-from manip_learn.planning.stations import Margins, Postures, Stations, margins_of
+from manip_learn.planning.stations import Margins, Postures, Stations, path_margins
 from manip_learn.recordings.load import Progress
 from manip_learn.robot.robot import Robot
 
-_CANDIDATES = 384  # seeds: with 2,000 the best margin of a drawer rises by less than 0.01 (measured at ff412730)
-LEAST_CANDIDATES = 8  # two at each of three stations, and two to spare
-FOLLOWING = 5.0  # [1/s] pull back to the planned postures, half as hard as the task's own feedback
-APPROACH_SHARE = 0.25  # of the velocity limits, on the way to the posture of hold: beside people, as ISO 10218-1
-AGAIN = 4  # times the seeds before a plan is refused
-_TRIED = 8  # choices that are simulated, best margin first
-VAIN = 3  # searches for an approach that find none, half a second each: then straight ones only
-SPARE = 1.1  # times the time that the fastest joint needs: its speed also takes deviations back
-REACHED = 0.95  # of the way to the last station that a clear posture reaches, which a plan for no more comes to
-LOOKED_AT = 6  # every such posture of a recording is looked at beside what stands around
-_SEEN = 60  # postures of an approach of which a plan says how near they come to what stands around
+CHECK_STEP = 6  # of the postures of a recording, one in this many is checked for collisions
 Around = Scene | Literal["assumed"] | None
 
 
 @final
 @dataclass(frozen=True, eq=False, repr=False)
 class Plan:
-    """A posture in which to take hold, the approach to it, and the way with its null-space motion.
+    """A grasp configuration, the approach to it, and the motion with its null-space policy.
 
     Attributes:
         robot: The robot.
-        q_grasp: Joint positions in which the hand takes hold [rad or m].
-        approach: From the start to that posture, as simulated.
-        way: The motion itself, as simulated, from the time when the hand has taken hold.
-        margin: Least share of its own limits that the way leaves, at most 1: of the joints' ranges, of their speeds,
-            of what the weakest direction could do (`manip_learn.planning.stations` has the formula).
-        margins: The same in parts, with where and which joint.
-        outcome: What became of the way: how far, how straight, how fast.
-        controller: Runs the plan, in `simulate` and in a `ServoLoop`, from the start.
+        q_grasp: Joint positions in which the hand grasps [rad or m].
+        approach: Motion from the start to the grasp configuration, as simulated.
+        way: The motion itself, as simulated, from the time of the grasp.
+        margin: Smallest remaining share of the limits along the motion, at most 1: of the joint ranges, of the joint
+            speeds, of the speed in the weakest direction (`manip_learn.planning.stations` has the formula).
+        margins: The same in parts, with the joint and the place.
+        outcome: Outcome of the motion: distance, deviation, speed.
+        controller: Controller of the whole motion, for `simulate` and `ServoLoop`, from the start.
         candidates: Number of postures at the first station that were compared.
-        notes: What was not looked at, in sentences.
-        around: What approach and way keep clear of.
-        take: The recording that it follows; None of a plan that was searched.
+        notes: Checks that were not made, and other remarks, in sentences.
+        around: Obstacles that approach and motion avoid.
+        take: Recording that the plan follows; None for a plan from a search.
     """
 
     robot: Robot
@@ -84,18 +74,25 @@ class Plan:
 
     @property
     def rollout(self) -> Rollout:
-        """Approach and way, one after the other; its phases are the approach, the hold and the way."""
+        """Approach and motion, one after the other; the phases are the approach, the hold and the way."""
         return self.approach.followed_by(self.way)
 
     def save(self, path: str | Path) -> Path:
-        """Write approach and way as one file; formats and errors as for `Rollout.save`."""
+        """Write approach and motion as one file; formats and errors as for `Rollout.save`.
+
+        Args:
+            path: File to write.
+
+        Returns:
+            Path of the file.
+        """
         return self.rollout.save(path)
 
     @property
     def sentence(self) -> str:
-        """What is planned, in words."""
-        far = float(np.max(np.abs(self.approach.q[-1] - self.approach.q[0]), initial=0.0))
-        moved = "take hold as it stands" if far < ARRIVED else f"take hold after {self.approach.time[-1]:.1f} s"
+        """Plan in words."""
+        change = float(np.max(np.abs(self.approach.q[-1] - self.approach.q[0]), initial=0.0))
+        moved = "take hold as it stands" if change < ARRIVED else f"take hold after {self.approach.time[-1]:.1f} s"
         return (
             f"{moved}, then {way_in_words(self.outcome.done, self.outcome.unit)} in {self.outcome.seconds:.3g} s; "
             f"margin {self.margin:.0%}: {self.margins.limited_by}"
@@ -105,7 +102,7 @@ class Plan:
         return f"Plan({self.sentence})"
 
     def to_dict(self) -> dict[str, Any]:
-        """The JSON answer: lengths in m, angles in rad, of the way in degrees."""
+        """Return the plan for JSON: lengths in m, angles in rad."""
         return {
             "margin": self.margin,
             "limited_by": self.margins.limited_by,
@@ -124,7 +121,7 @@ def plan(
     start: ArrayLike,
     seed: int = 0,
     *,
-    candidates: int = _CANDIDATES,
+    candidates: int = 384,
     limits: Limits | None = None,
     collision: Links = True,
     scene: Around = "assumed",
@@ -132,37 +129,44 @@ def plan(
     progress: Progress | None = None,
     takes: Sequence[Take] = (),
 ) -> Plan:
-    """The posture in which to take hold so that the whole way can be done, and the motion from the start through it.
+    """Plan the grasp configuration so that the whole motion is feasible, and the motion from the start through it.
 
-    Whether a drawer opens is decided before the pull begins: by the posture in which the handle is taken. The hand's
-    place is that of the motion (see `motion`); the posture is chosen among hundreds by the least margin over the whole
-    way, in units of its own limits (`manip_learn.planning.stations` has the formula); of margins within a
-    hundredth of each other the larger manipulability of the rows held and driven decides. The best is simulated, and
-    taken if the whole way is done within 2 mm of what holds the hand; else the next one. An arm that does as well from
-    where it stands takes hold there. Approach and way keep clear of the arm's own links and of the scene by 5 mm.
+    The grasp configuration decides whether a drawer opens completely, before the pull begins. The grasp pose is part of
+    the motion (see `motion`); the configuration is chosen among hundreds by the smallest margin over the whole motion,
+    in units of its own limits (`manip_learn.planning.stations` has the formula); among margins within a hundredth of
+    each other, the larger manipulability of the constrained and driven rows decides. The best one is simulated, and
+    accepted if the whole motion completes within 2 mm of the mechanism; otherwise the next one is tried. If the current
+    configuration does as well, the arm grasps there. Approach and motion keep a clearance of 5 mm from the arm's own
+    links and from the scene.
 
     Args:
-        constraint: What holds the hand.
-        motion: The way along it, as `motion` makes it.
-        start: Posture before the motion.
-        seed: Of the random postures: the same seed gives the same plan.
-        candidates: Number of postures from which the search begins.
-        limits: Of the joints; the robot's own by default.
-        collision: The pairs of links that must not touch; True for those of the robot's shapes, False for none.
-        scene: What stands around; None for nothing. By default a floor under the base is assumed, below all that the
-            recordings show and that the arm is in at the start.
+        constraint: Learnt constraint of the hand.
+        motion: Motion along it, from `motion`.
+        start: Configuration (nq,) before the motion.
+        seed: Seed of the random postures: the same seed gives the same plan.
+        candidates: Number of postures from which the search begins. With 2,000, the best margin of a drawer rises by
+            less than 0.01 (measured at ff412730).
+        limits: Joint limits; None for the robot's own.
+        collision: Pairs of links that must not touch; True for all of the robot's shapes, False for none.
+        scene: Obstacles; None for no obstacles. By default a floor under the base is assumed, below all
+            postures of the recordings and of the start.
         dt: Step of the simulation [s].
         progress: As for `simulate`.
-        takes: Recordings of this way, see `Step.takes`: the first that can be followed is; then nothing is searched.
+        takes: Recordings of this motion, see `Step.takes`: the first feasible one is followed; then nothing is
+            searched.
+
+    Returns:
+        Plan, simulated without collisions.
 
     Raises:
-        NoPlanError: The way cannot be done from any posture that was tried; says how much of it can, what stops it,
-            and what would help.
-        TargetError: A start outside the limits or in collision, a way longer than what was shown, a grasp that does
-            not fit.
-        MissingExtraError: Something is in the way of the straight approach, and RoboPlan is not installed.
-        ConfigurationError: A start of another size, a joint without velocity limit, a number that is none.
-        FeatureError: Rows that are not those of a frame, or a robot with a floating or planar base.
+        NoPlanError: The motion is infeasible from every configuration that was tried; the message gives the feasible
+            part, the cause, and possible remedies.
+        TargetError: A start outside the limits or in collision, a motion beyond the demonstrated range, or a grasp pose
+            that does not fit.
+        MissingExtraError: The straight approach is not clear, and RoboPlan is not installed.
+        ConfigurationError: A start of another size, a joint without velocity limit, or a value that is not a finite
+            number.
+        FeatureError: The rows do not belong to a frame, or the robot has a floating or planar base.
 
     Example:
         >>> import manip_learn as ml
@@ -172,18 +176,19 @@ def plan(
         >>> bool(plan.outcome.is_done), plan.way.q.shape[1]
         (True, 7)
     """
-    if candidates < LEAST_CANDIDATES:
-        raise ConfigurationError(f"a plan needs {LEAST_CANDIDATES} candidates or more, got {candidates!r}")
-    said = progress or (lambda _title, _share: None)
+    fewest = 8  # two candidates at each of three stations, and two to spare
+    if candidates < fewest:
+        raise ConfigurationError(f"a plan needs {fewest} candidates or more, got {candidates!r}")
+    report = progress or (lambda _title, _share: None)
     problem = _Problem(constraint, motion, start, seed, limits, collision, scene, dt, takes)
-    if takes and (found := problem.followed(said)) is not None:
-        return found
-    found = problem.searched(candidates, said)
-    note = "no recording could be followed: the posture was searched"
-    return replace(found, notes=(*found.notes, note)) if takes else found
+    if takes and (result := problem.follow(report)) is not None:
+        return result
+    result = problem.search(candidates, report)
+    note = "no recording could be followed: the grasp configuration was searched"
+    return replace(result, notes=(*result.notes, note)) if takes else result
 
 
-Approach = tuple[str, ResolvedRateController, Rollout]  # how the joints go to a posture in words, by what law, and so
+Approach = tuple[str, ResolvedRateController, Rollout]  # motion to a posture: in words, its law, and as simulated
 
 
 def approach(
@@ -196,26 +201,29 @@ def approach(
     dt: float,
     shown: Postures | None = None,
 ) -> Approach | None:
-    """The motion of the joints to a posture: as it was shown, else straight, else around what is in the way; None where
-    there is none.
+    """Simulate a joint motion to a posture: as recorded, else straight, else around obstacles.
 
     Args:
-        goal: Joint positions.
-        start: A configuration.
-        rows: Of which the rollout says the manipulability.
-        limits: Of the joints.
-        clear: What is clear.
-        seed: Of the path around what is in the way.
+        goal: Joint positions (nv,) [rad or m].
+        start: Configuration (nq,).
+        rows: Constraint whose manipulability the rollout contains.
+        limits: Joint limits.
+        clear: Collision check.
+        seed: Seed of the path around obstacles.
         dt: Step of the simulation [s].
-        shown: Knots of a motion that was shown, if there is one.
+        shown: Knots (k, nv) of a recorded motion; None without one.
+
+    Returns:
+        Kind of motion in words, its law and its rollout; None if there is no clear motion, or it does not arrive.
 
     Raises:
-        MissingExtraError: Something is in the way of the straight motion, and RoboPlan is not installed.
+        MissingExtraError: The straight motion is not clear, and RoboPlan is not installed.
     """
+    speed_share = 0.25  # share of the velocity limits: people may be near, as in ISO 10218-1
     robot = limits.robot
 
     def through(how: str, knots: ArrayLike, smooth: bool) -> Approach | None:
-        task = JointMotion(limits, knots, APPROACH_SHARE, through=smooth)
+        task = JointMotion(limits, knots, speed_share, through=smooth)
         law = ResolvedRateController(every_joint(robot), task, limits=limits, dt=dt)
         rollout = simulate(robot, law, start, task.duration + 1.0, dt)
         arrived = np.flatnonzero((rollout.task_error < ARRIVED) & (rollout.time >= task.duration))
@@ -225,8 +233,8 @@ def approach(
         return how, law, replace(rollout, manipulability=manipulability_batch(rows, rollout.q).mu)
 
     inside = shown is not None and np.all((shown >= limits.lower) & (shown <= limits.upper))
-    if shown is not None and inside and clear.of_way(shown) and (found := through("as shown", shown, True)):
-        return found
+    if shown is not None and inside and clear.is_path_clear(shown) and (result := through("as shown", shown, True)):
+        return result
     path = joint_path(robot, robot.positions(start), goal, limits, clear, seed)
     if path is None:
         return None
@@ -236,14 +244,15 @@ def approach(
 @final
 @dataclass(frozen=True, eq=False, repr=False)
 class PathPolicy(NullSpacePolicy):
-    """pi = dq*/dt + gain (q*(t) - q), q* a cubic spline, at rest before its first knot and behind the last.
+    """Null-space policy pi = dq*/dt + gain (q*(t) - q), q* a cubic spline, at rest before its first and after its last
+    knot.
 
     Attributes:
-        path: The spline, by the time since the way began [s].
-        gain: Rate at which differences from it are made up [1/s].
-        robot: Whose joints they are.
-        moving: shape (nv,), joints that follow the path.
-        motion: The way along which the path leads.
+        path: Spline of joint positions, by the time since the motion began [s].
+        gain: Rate at which deviations decay [1/s].
+        robot: The robot.
+        moving: Mask (nv,) of the joints that follow the path.
+        motion: Motion along which the path leads.
     """
 
     path: CubicSpline
@@ -253,7 +262,11 @@ class PathPolicy(NullSpacePolicy):
     motion: FreeDirection
 
     def __call__(self, q: ArrayLike, t: float = 0.0) -> Float[np.ndarray, " nv"]:
-        """Velocity along the path and towards it [rad/s or m/s].
+        """Return the velocity along the path and towards it [rad/s or m/s].
+
+        Args:
+            q: Configuration (nq,).
+            t: Time on the clock of the controller [s].
 
         Raises:
             ConfigurationError: q has the wrong size or is not finite.
@@ -267,16 +280,16 @@ class PathPolicy(NullSpacePolicy):
         return f"PathPolicy({len(self.path.x)} knots over {np.ptp(self.path.x):g} s, gain={self.gain:g})"
 
 
-def _slower(motion: FreeDirection, times: float, why: str) -> tuple[FreeDirection, str]:
-    """A motion slowed down by a factor, and why, and how long it takes, in words."""
-    slow, far = motion.slowed(times), way_in_words(motion.wanted, motion.unit)
-    return slow, f"{why}: {far} takes {slow.duration:.3g} s instead of {motion.duration:.3g} s"
+def _slow_down(motion: FreeDirection, times: float, why: str) -> tuple[FreeDirection, str]:
+    """Return a motion slowed down by a factor, and the reason with both durations in words."""
+    slow, distance = motion.slowed(times), way_in_words(motion.wanted, motion.unit)
+    return slow, f"{why}: {distance} takes {slow.duration:.3g} s instead of {motion.duration:.3g} s"
 
 
 @final
 @dataclass(eq=False)
 class _Problem:
-    """One call of `plan`, whose arguments it has."""
+    """Planning problem with the arguments of `plan`."""
 
     constraint: Constraint
     motion: FreeDirection
@@ -292,219 +305,261 @@ class _Problem:
         constraint, motion, takes = self.constraint, self.motion, self.takes
         if not isinstance(motion, FreeDirection):
             raise ConfigurationError(
-                f"call plan(constraint, motion, start): the motion is {an(motion)}; "
+                f"plan() expects the task returned by motion(), got {an(motion)}; "
                 + "motion(constraint, distance=... | angle=...) makes one"
             )
         self.rows = motion.rows(constraint)
         robot = constraint.robot
         if robot is None:
-            raise FeatureError("a way is planned for a robot: the features have none")
+            raise FeatureError("a plan needs a robot: the features have none")
         self.robot, self.motion, self.rng = robot, motion.with_distance(motion.wanted), np.random.default_rng(self.seed)
         self.start, self.limits = robot.checked_posture(self.start), self.limits or Limits(robot)
-        self.vain = 0  # searches for an approach that found none
-        self.missing: MissingExtraError | None = None  # what would look for a way around it
-        self.unreached: tuple[str, str] | None = None  # what stands between the start and a posture of hold
+        self.failures = 0  # failed searches for an approach
+        self.missing_extra: MissingExtraError | None = None  # raised if no plan works without RoboPlan
+        self.contact: tuple[str, str] | None = None  # pair in contact between the start and a grasp configuration
         if unsuited := [b for b in robot.blocks if b.kind in ("floating", "planar", "other")]:
             raise FeatureError(
-                f"joint {unsuited[0].name!r} is {unsuited[0].kind}: a way is planned for revolute, continuous and "
+                f"joint {unsuited[0].name!r} is {unsuited[0].kind}: plan() supports revolute, continuous and "
                 "prismatic joints only; load the robot with a fixed base"
             )
         if len(endless := np.flatnonzero(~np.isfinite(self.limits.velocity))):
             raise ConfigurationError(
-                f"joint {robot.joint_names[endless[0]]!r} has no velocity limit, in units of which margins are counted"
+                f"joint {robot.joint_names[endless[0]]!r} has no velocity limit, the unit of the margins"
                 ": state it in the robot's description, or pass limits=Limits(robot, velocity=...)"
             )
         self.positions = robot.positions(self.start)
         self.notes, tip = (), self.limits.barriers
         self.stations = Stations.of(self.motion, self.start, self.limits)
         if (times := self.stations.tip_speed / tip.pace) > 1.01:  # a pace leaves 2 %
-            self.motion, slower = _slower(self.motion, times, f"{tip.speed:.3g} m/s at the tip")
+            self.motion, slower = _slow_down(self.motion, times, f"{tip.speed:.3g} m/s at the tip")
             self.stations, self.notes = Stations.of(self.motion, self.start, self.limits), (slower,)
         around = Surroundings()
         if (scene := self.scene) is not None:
             if not isinstance(scene, Scene) and scene != "assumed":
-                wanted = "a scene is a Scene, None for nothing, or left out to be assumed"
-                raise ConfigurationError(f"{wanted}, not {an(scene)}")
+                expected = "scene must be a Scene, None for no obstacles, or 'assumed'"
+                raise ConfigurationError(f"{expected}, not {an(scene)}")
             features: Any = self.rows.features
             around = Surroundings.of(None if scene == "assumed" else scene, robot, features.frame)
-        shown = [np.array(x, dtype=np.float64) for x in constraint.provenance.get("postures", ()) if len(x) == robot.nv]
-        passed = [q for take in takes for q in take.q[::LOOKED_AT]]
-        self.clear = Clearance(robot, self.collision, around, self.positions, [*shown, *passed])
-        self.notes = (*self.clear.notes, *self._contradicted(around), *self.notes)
+        demos = [np.array(x, dtype=np.float64) for x in constraint.provenance.get("postures", ()) if len(x) == robot.nv]
+        passed = [q for take in takes for q in take.q[::CHECK_STEP]]
+        self.clear = Clearance(robot, self.collision, around, self.positions, [*demos, *passed])
+        self.notes = (*self.clear.notes, *self._contradictions(around), *self.notes)
 
         check_inside(robot, self.positions)
-        if (touching := self.clear.touching(self.positions, distance=0.0)) is not None:
+        if (touching := self.clear.nearest_contact(self.positions, distance=0.0)) is not None:
             one, other = touching.links
             raise TargetError(
                 f"at the start {one!r} and {other!r} touch, {abs(1e3 * touching.distance):.2g} mm deep: start elsewhere"
                 + (f", or correct {other!r} in the scene" if other in self.clear.around.names else "")
             )
 
-    def _contradicted(self, around: Surroundings) -> Iterator[str]:
-        """What the recordings say against a stated scene, in sentences."""
+    def _contradictions(self, around: Surroundings) -> Iterator[str]:
+        """Yield contradictions between the recordings and the given scene, in sentences."""
         stated, deepest = set(around.names) - around.assumed, dict[str, tuple[float, str]]()
         for take in self.takes if stated else ():
-            for q in take.q[::LOOKED_AT] if np.allclose(take.moved, np.eye(4)) else ():
-                pair = self.clear.touching(q, distance=0.0)
+            for q in take.q[::CHECK_STEP] if np.allclose(take.moved, np.eye(4)) else ():
+                pair = self.clear.nearest_contact(q, distance=0.0)
                 if pair is not None and (name := pair.links[1]) in stated:
                     deepest[name] = max(deepest.get(name, (0.0, "")), (-pair.distance, take.name))
         for name, (depth, take) in deepest.items():
-            yield f"{take} passes {1e3 * depth:.0f} mm inside {name!r}: the scene does not stand where it was shown"
+            yield f"{take} passes {1e3 * depth:.0f} mm inside {name!r}: the scene does not match the demonstrations"
 
-    def marches(self, candidates: int, stations: Stations | None = None) -> ways.Marches:
-        """Postures along the way."""
-        return ways.marches_of(stations or self.stations, self.positions, candidates, self.rng)
+    def marches(self, candidates: int, stations: Stations | None = None) -> ways.PathCandidates:
+        """Return candidate postures along the motion.
 
-    def followed(self, said: Progress) -> Plan | None:
-        """The way as the first recording that comes true shows it, see `planning.ways`; None if none does."""
-        tried = ways.followed(self.motion, self.takes, self.stations, self.positions)
-        for compared, one in enumerate(tried):
+        Args:
+            candidates: Number of seeds.
+            stations: Other stations; None for the stations of the motion.
+        """
+        return ways.propagate_candidates(stations or self.stations, self.positions, candidates, self.rng)
+
+    def follow(self, report: Progress) -> Plan | None:
+        """Return a plan that follows the first feasible recording, see `planning.ways`; None if there is none.
+
+        Args:
+            report: Function of the name of a stage and its completed share.
+        """
+        candidates = ways.follow_recordings(self.motion, self.takes, self.stations, self.positions)
+        for compared, one in enumerate(candidates):
             name = "the arm as it stands" if one.take is None else one.take.name
-            said(f"following {name}", 0.2 + 0.6 * compared / (len(self.takes) + 1))
-            clear = self.clear.holding(one.path[:1])
-            if clear.of_way(one.path) and (found := self._tried(one, clear, compared + 1)) is not None:
-                return found
+            report(f"following {name}", 0.2 + 0.6 * compared / (len(self.takes) + 1))
+            clear = self.clear.for_grasps(one.path[:1])
+            if clear.is_path_clear(one.path) and (result := self._simulate(one, clear, compared + 1)) is not None:
+                return result
         return None
 
-    def searched(self, candidates: int, said: Progress) -> Plan:
-        """The plan with the largest margin that comes true in simulation.
+    def search(self, candidates: int, report: Progress) -> Plan:
+        """Search for the plan with the largest margin that completes in simulation.
 
-        Those in which the hand takes hold turned as in the recordings come first, where these say how that was.
+        Grasps with the demonstrated orientation of the hand come first, if it is known.
+
+        Args:
+            candidates: Number of seeds.
+            report: Function of the name of a stage and its completed share.
+
+        Returns:
+            Plan, with a note if the orientation of its grasp was not demonstrated.
 
         Raises:
-            NoPlanError, MissingExtraError: As of `plan`.
+            NoPlanError: The motion is infeasible from every configuration that was tried.
+            MissingExtraError: A straight approach is not clear, and RoboPlan is not installed.
         """
-        for share, number in enumerate((candidates, AGAIN * candidates)):
-            said("comparing postures", 0.1 + 0.4 * share)
+        # factor of the number of seeds in the second search; number of simulated choices, the best margin first
+        factor, n_simulated = 4, 8
+        for share, number in enumerate((candidates, factor * candidates)):
+            report("comparing postures", 0.1 + 0.4 * share)
             marches = self.marches(number)
             choices = marches.choices(len(self.stations) - 1)
-            clear = self.clear.holding(marches.q[choices, 0])
-            for one in islice(self._relaxed(marches, choices, clear), _TRIED):
-                said("simulating the best of them", 0.3 + 0.4 * share)
-                if (found := self._tried(one, clear, len(choices))) is None:
+            clear = self.clear.for_grasps(marches.q[choices, 0])
+            for one in islice(self._relaxed_paths(marches, choices, clear), n_simulated):
+                report("simulating the best of them", 0.3 + 0.4 * share)
+                if (result := self._simulate(one, clear, len(choices))) is None:
                     continue
-                said("planned", 1.0)
-                if np.array_equal(one.path[0], self.positions) or self.stations.takes_hold_as_shown(one.path[:1])[0]:
-                    return found
-                note = "the hand takes hold turned otherwise than shown: so turned it finds no way"
-                return replace(found, notes=(*found.notes, note))
-        if self.missing is not None:
-            raise self.missing
-        said("looking for what would help", 0.9)
+                report("planned", 1.0)
+                if np.array_equal(one.path[0], self.positions) or self.stations.grasps_as_shown(one.path[:1])[0]:
+                    return result
+                note = "the orientation of the grasp differs from the demonstrations: with theirs no plan was found"
+                return replace(result, notes=(*result.notes, note))
+        if self.missing_extra is not None:
+            raise self.missing_extra
+        report("looking for what would help", 0.9)
         raise self.refusal(marches, candidates)
 
-    def _relaxed(
-        self, marches: ways.Marches, choices: Int[np.ndarray, " k"], clear: Clearance
+    def _relaxed_paths(
+        self, marches: ways.PathCandidates, choices: Int[np.ndarray, " k"], clear: Clearance
     ) -> Iterator[ways.Candidate]:
-        """Marches in whose way nothing is, relaxed where that is clear, too, and the hand turned as it was."""
-        as_shown = self.stations.takes_hold_as_shown
-        for march, stands in zip(choices.tolist(), marches.stand(choices).tolist(), strict=True):
+        """Yield clear marches; relaxed if the result is also clear and grasps with the same orientation."""
+        # after this many failed searches for an approach, half a second each, only straight ones are tried
+        most_failures = 3
+        as_shown = self.stations.grasps_as_shown
+        for march, stands in zip(choices.tolist(), marches.begin_at_start(choices).tolist(), strict=True):
             path = marches.q[march]
-            if not clear.of_way(path) or (self.vain >= VAIN and not clear.of_line(self.positions, path[0])):
+            if not clear.is_path_clear(path) or (
+                self.failures >= most_failures and not clear.is_line_clear(self.positions, path[0])
+            ):
                 continue
-            better = ways.relaxed(self.stations, path, pinned=stands)
-            if as_shown(better[:1])[0] >= as_shown(path[:1])[0] and clear.of_way(better):
+            better = ways.relax(self.stations, path, pinned=stands)
+            if as_shown(better[:1])[0] >= as_shown(path[:1])[0] and clear.is_path_clear(better):
                 path = better
             yield ways.Candidate(self.motion, self.stations, path)
 
-    def _tried(self, one: ways.Candidate, clear: Clearance, compared: int) -> Plan | None:
-        """The plan of a candidate whose postures are clear; None where it cannot be reached or does not come true."""
+    def _simulate(self, one: ways.Candidate, clear: Clearance, compared: int) -> Plan | None:
+        """Simulate a candidate with clear postures; return None if it has no approach or does not complete."""
+        # factor of the shortest duration, so that feedback has some speed to spare; postures checked for `around`
+        spare, n_checked = 1.1, 60
         motion, stations, take, notes = one.motion, one.stations, one.take, self.notes
         path, turned = one.path, ways.nearest_turn(self.robot, one.path, self.positions)
-        if margins_of(stations, turned).margin >= min(ways.ENOUGH, one.margins.margin):
-            path = turned  # the short way there
+        if path_margins(stations, turned).margin >= min(ways.GOOD_MARGIN, one.margins.margin):
+            path = turned  # the shorter approach
         if (approach := self._approach(path[0], take, clear)) is None:
             return None
-        how, to_hold, came = approach
+        how, to_hold, reach = approach
         if one.margins.speed < 0.0:
-            motion, slower = _slower(motion, SPARE * (1.0 - one.margins.speed), "the joints are too slow for it")
+            motion, slower = _slow_down(motion, spare * (1.0 - one.margins.speed), "the joints are too slow for it")
             before, stations = np.abs(stations.distance), Stations.of(motion, self.start, self.limits)
             path = np.column_stack([np.interp(np.abs(stations.distance), before, x) for x in path.T])
             notes = (*notes, slower)
         law = self._law(motion, stations.time, path)
-        way, outcome = simulate_way(self.robot, law, came.q[-1], self.dt)
+        way, outcome = simulate_way(self.robot, law, reach.q[-1], self.dt)
         begins, end = outcome.begins, float(way.time[-1])
-        if not outcome.is_done or outcome.strays or begins is None or not clear.of_way(self.robot.unwrapped(way.q)):
+        if (
+            not outcome.is_done
+            or outcome.strays
+            or begins is None
+            or not clear.is_path_clear(self.robot.unwrapped(way.q))
+        ):
             return None
         if take is not None:
             notes = (*notes, f"follows {take.name}, the approach {how}")
-        margins = margins_of(stations, path)
-        came = replace(came, phases=(("approach", 0.0, float(came.time[-1])),))
-        done = ({**outcome.to_dict(), "margin": margins.margin},)
-        way = replace(way, phases=(*((("hold", 0.0, begins),) if begins else ()), ("way", begins, end)), ways=done)
-        seen = np.concatenate([run.q[:: len(run) // _SEEN + 1] for run in (came, way)])
-        way = replace(way, around=self.clear.plain(map(self.robot.positions, seen)))
+        margins = path_margins(stations, path)
+        reach = replace(reach, phases=(("approach", 0.0, float(reach.time[-1])),))
+        outcomes = ({**outcome.to_dict(), "margin": margins.margin},)
+        way = replace(way, phases=(*((("hold", 0.0, begins),) if begins else ()), ("way", begins, end)), ways=outcomes)
+        postures = np.concatenate([run.q[:: len(run) // n_checked + 1] for run in (reach, way)])
+        way = replace(way, around=self.clear.plain(map(self.robot.positions, postures)))
         numbers = margins.margin, margins, outcome, LawSequence(to_hold, law), compared, notes
-        return Plan(self.robot, path[0], came, way, *numbers, self.clear.around, take)
+        return Plan(self.robot, path[0], reach, way, *numbers, self.clear.around, take)
 
     def _approach(self, hold: Float[np.ndarray, " nv"], take: Take | None, clear: Clearance) -> Approach | None:
-        """The motion from the start to a posture of hold; None where something is in the way."""
+        """Return the motion from the start to a grasp configuration; None if there is no clear one."""
         knots = None
         if take is not None:
             before = np.where(self.stations.moving, take.before, self.positions)
-            before = ways.carried(self.constraint.features, before, take.moved)
-            knots = ways.joined(ways.nearest_turn(self.robot, before[::-1], hold)[::-1], self.positions, hold)
+            before = ways.carry_hand(self.constraint.features, before, take.moved)
+            knots = ways.join_approach(ways.nearest_turn(self.robot, before[::-1], hold)[::-1], self.positions, hold)
         try:
-            if found := approach(hold, self.start, self.rows, self.limits, clear, self.seed, self.dt, knots):
-                return found
+            if result := approach(hold, self.start, self.rows, self.limits, clear, self.seed, self.dt, knots):
+                return result
         except MissingExtraError as error:  # straight motions to other postures may be clear
-            self.missing = error
-        self.vain, self.unreached = self.vain + 1, clear.in_line(self.positions, hold)
+            self.missing_extra = error
+        self.failures, self.contact = self.failures + 1, clear.first_contact(self.positions, hold)
         return None
 
     def _law(self, motion: FreeDirection, time: Float[np.ndarray, " k"], path: Postures) -> ResolvedRateController:
-        """What does a motion with its spare joints along postures at times since the way began [s]."""
-        task = motion.with_distance(motion.wanted)  # which remembers its own start
+        """Return the controller of a motion with null-space postures at times since the motion began [s]."""
+        gain = 5.0  # [1/s] pull back to the planned postures, half of the task's own feedback
+        task = motion.with_distance(motion.wanted)  # a new task without a remembered start
         spline = CubicSpline(time, path, bc_type="natural")
-        policy = PathPolicy(spline, FOLLOWING, self.robot, self.stations.moving, task)
+        policy = PathPolicy(spline, gain, self.robot, self.stations.moving, task)
         return ResolvedRateController(self.constraint, task, policy, limits=self.limits, dt=self.dt)
 
-    # ---- where there is no plan -----------------------------------------------------------------------------------
+    # ---- refusals -------------------------------------------------------------------------------------------------
 
-    def refusal(self, marches: ways.Marches, candidates: int) -> NoPlanError:
-        """How much of the way can be done, what stops it, and what would help, from all marches compared."""
-        holding = self.clear.holding(marches.q[np.isfinite(marches.least[:, 0]), 0])
+    def refusal(self, marches: ways.PathCandidates, candidates: int) -> NoPlanError:
+        """Return the refusal with the feasible part of the motion, the cause, and possible remedies, from all marches.
+
+        Args:
+            marches: All marches that were compared.
+            candidates: Number of seeds.
+        """
+        # share of the motion to the last station with a clear posture that a plan for no more can reach
+        share = 0.95
+        holding = self.clear.for_grasps(marches.q[np.isfinite(marches.least[:, 0]), 0])
         clear = marches.where(holding)
         end, last, largest, posture = len(self.stations) - 1, clear.reached, 0.0, None
-        stopped_by, pair, helps = self._stopped_by(marches), self.unreached if last == end else None, tuple[str, ...]()
+        stopped_by, pair, helps = (
+            self._limiting_cause(marches),
+            self.contact if last == end else None,
+            tuple[str, ...](),
+        )
         if last < marches.reached == end:
-            pair, helps = self._in_the_way(marches.q[marches.choices(end)[0]], holding)
+            pair, helps = self._blocking_pair(marches.q[marches.choices(end)[0]], holding)
         free = self.stations.with_rows(np.eye(6)[:3])
         if self.stations.holds_orientation and self.marches(candidates // 2, free).reached == end:
-            helps += ("a hand that may turn on the way could do it",)
+            helps += ("a hand that is free to rotate could complete it",)
         if last >= 1 and not (last == end and pair):
-            largest, posture = REACHED * float(self.stations.distance[last]), clear.q[clear.choices(last)[0], 0]
+            largest, posture = share * float(self.stations.distance[last]), clear.q[clear.choices(last)[0], 0]
         if pair is not None:
-            where = " on the way from the start to where the hand takes hold" if last == end else ""
-            stopped_by = f"{pair[0]} and {pair[1]}, which would touch{where}"
-        wanted, most = (way_in_words(far, self.motion.unit) for far in (self.motion.wanted, largest))
+            where = " on the approach to the grasp" if last == end else ""
+            stopped_by = f"{pair[0]} and {pair[1]}, which would collide{where}"
+        requested, most = (way_in_words(distance, self.motion.unit) for distance in (self.motion.wanted, largest))
         more = "".join(f"; {sentence}" for sentence in helps)
-        said = f"no plan for {wanted}: {most} at most, stopped by {stopped_by}{more}"
-        return NoPlanError(said, largest=abs(largest), posture=posture, stopped_by=stopped_by, helps=helps)
+        text = f"no plan for {requested}: {most} at most, stopped by {stopped_by}{more}"
+        return NoPlanError(text, largest=abs(largest), posture=posture, stopped_by=stopped_by, helps=helps)
 
-    def _in_the_way(self, path: Postures, clear: Clearance) -> tuple[tuple[str, str] | None, tuple[str, ...]]:
-        """The two things that are most in each other's way on a path, and what would help."""
-        pairs = [pair for q in path if (pair := clear.touching(q)) is not None]
+    def _blocking_pair(self, path: Postures, clear: Clearance) -> tuple[tuple[str, str] | None, tuple[str, ...]]:
+        """Return the pair in deepest contact on a path, and possible remedies."""
+        pairs = [pair for q in path if (pair := clear.nearest_contact(q)) is not None]
         deepest = min(pairs, key=lambda pair: pair.distance, default=None)
         if deepest is None or deepest.links[1] not in clear.around.names or len({pair.links[1] for pair in pairs}) > 1:
             return None if deepest is None else deepest.links, ()
         (link, thing), depth = deepest.links, np.ceil(1e2 * (CLEARANCE - deepest.distance)) / 1e2
-        return deepest.links, (f"the {thing} {depth:.2f} m farther from {link} would leave room there",)
+        return deepest.links, (f"the {thing} {depth:.2f} m further from {link} would leave enough room",)
 
-    def _stopped_by(self, marches: ways.Marches) -> str:
-        """What keeps the marches that come farthest from going on, in words."""
+    def _limiting_cause(self, marches: ways.PathCandidates) -> str:
+        """Return the limit that stops the marches that come farthest, in words."""
         last = marches.reached
         if last < 0:
-            gap = ways.out_of_reach(self.stations, self.positions, self.rng)
-            return f"the end of the arm's reach: the hand comes within {gap:.2g} m of where it should take hold"
+            gap = ways.distance_to_grasp(self.stations, self.positions, self.rng)
+            return f"the end of the arm's reach: the hand comes within {gap:.2g} m of the grasp"
         if last == len(self.stations) - 1:
             return "limits of the loop in simulation"
         q = marches.q[marches.choices(last)[:1], last]
         if (joint := joint_at_limit(self.robot, q[0])) is not None:
             return joint
         A = self.stations.matrices(q, np.array([last]))[0]
-        left, sigma, _ = np.linalg.svd(A, full_matrices=False)
-        x, y, z, rx, ry, rz = left[:, -1] @ self.stations.rows[last]
+        directions, sigma, _ = np.linalg.svd(A, full_matrices=False)
+        x, y, z, rx, ry, rz = directions[:, -1] @ self.stations.rows[last]
         moves = np.hypot(np.hypot(x, y), z) >= np.hypot(np.hypot(rx, ry), rz)
         what, d = ("move along", (x, y, z)) if moves else ("turn about", (rx, ry, rz))
         words = ", ".join(f"{c:.2f}" for c in np.array(d) / np.linalg.norm(d))
