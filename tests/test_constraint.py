@@ -165,9 +165,8 @@ def test_damaged_and_contradicting_files_are_refused(robot_of, features, tmp_pat
     for nowhere in (tmp_path, tmp_path / "none.json"):
         with pytest.raises(ConstraintMismatchError, match="folder|no such file"):
             ml.Constraint.load(nowhere, robot)
-    door = json.loads(
-        ml.Constraint([[1.0, 0.0]], ml.MechanismRows(robot, "right_hand", "radial axial")).save(path).read_text()
-    )
+    hinge = ml.Constraint([[1.0, 0.0]], ml.MechanismRows(robot, "right_hand", "radial axial"))
+    door = json.loads(hinge.save(path).read_text())
     for change in ({"axis": [True, 0, 0]}, {"rows": ["radial"]}, {"radius": True}, {"point": ["0", "0", "0"]}):
         refused(door | {"features": door["features"] | change})
 

@@ -98,10 +98,8 @@ def test_what_the_learner_fitted_belongs_to_its_rows(robot_of, tmp_path) -> None
     from another frame a line stays a line, along an axis of that frame; of a hand that turns it is none.
     """
     robot = robot_of("sawyer")
-    base, fitted = (
-        ml.FrameJacobian(robot, TIP),
-        ml.Mechanism("line", AXIS, POINT, uncertainty={"axis": 0.01}, name="line"),
-    )
+    base = ml.FrameJacobian(robot, TIP)
+    fitted = ml.Mechanism("line", AXIS, POINT, uncertainty={"axis": 0.01}, name="line")
     learnt_so = {"kind": "motion-constrained", "mechanism": fitted.to_dict()}
     constraint = ml.Constraint(ACROSS, base, learnt_so)
     assert constraint.mechanism == fitted
@@ -124,19 +122,14 @@ def test_what_the_learner_fitted_belongs_to_its_rows(robot_of, tmp_path) -> None
         assert ml.Constraint(rows, features, given).mechanism is None
 
 
-FORM_OF: dict[str, PlaceForm] = {
-    "free": "point",
-    "about-axis": "point and rotation",
-    "fixed": "point and rotation",
-    "carried": "twist",
-}
+FORM_OF: dict[str, PlaceForm] = {"cylinder": "surface", "screw": "surface", "free": "point", "carried": "twist"}
 
 
 def one_form(robot, kind, place: Place, radius: float, middle) -> tuple[PlaceRows, np.ndarray]:
     """A mechanism as a constant Lambda over `PlaceRows`, by what the weights of its rows are where its centre is level
     with the hand.
     """
-    form: PlaceForm = "surface" if kind.name in ("cylinder", "screw") else FORM_OF[kind.orientation]
+    form = FORM_OF.get(kind.name) or FORM_OF.get(kind.orientation, "point and rotation")
     features = PlaceRows(robot, TIP, form, middle)
     W = mechanism_weights(kind.rows, place, radius)
     if kind.kind in ("line", "plane", "space"):  # the hand's own origin is held

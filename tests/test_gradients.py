@@ -293,10 +293,8 @@ def features_of(robot: ml.Robot, axes: str, view: str) -> ml.FeatureMap:
 
 def check_rate(features: ml.FeatureMap, target: np.ndarray, q: np.ndarray) -> None:
     """-E is the derivative of the error, and comes with it."""
-    E, slope = (
-        features.error_jacobian(target, q),
-        central_difference(lambda x: features.error_to(target, x), features.robot, q),
-    )
+    slope = central_difference(lambda x: features.error_to(target, x), features.robot, q)
+    E = features.error_jacobian(target, q)
     E = features(q) if E is None else E
     assert_allclose(-E, slope, rtol=0, atol=1e-6)
     value, together = features.error_and_jacobian(target, q)

@@ -40,11 +40,6 @@ def free_direction_error(learner: ml.ConstraintLearner, truth: np.ndarray) -> fl
     return float(np.degrees(np.arcsin(min(1.0, np.linalg.norm(free - (free @ truth) * truth)))))
 
 
-def paper(seed: int, **options):
-    """Reaches along x and y."""
-    return paper_motions([0, 1], np.random.default_rng(seed), **options)
-
-
 def test_the_drawer():
     """Fifty physical drawers: two rows in the world's frame, free direction within 0.1 degrees of the true one. The
     wrist, 0.1 m behind the grip, is held only roughly: a weak gap, an uncertainty that says so, a warning. `strength`
@@ -87,7 +82,7 @@ def test_the_door_is_constant_in_the_tools_frame(axes: str, free: list[float]):
 
 def test_refusal_of_the_last_candidate_does_not_hide_an_answer():
     """Of several feature maps those that refuse are passed over; if all refuse, the reason of the first is given."""
-    features, (demos, _) = planar_features(), paper(74, n_trajectories=30)
+    features, (demos, _) = planar_features(), paper_motions([0, 1], np.random.default_rng(74), 30)
     flat = ml.FrameJacobian(features.robot, "tip", "z")
     assert ml.ConstraintLearner([flat, features]).fit(demos).constraint_.features is features
     with pytest.raises(NotIdentifiableError, match="zero"):
@@ -99,9 +94,8 @@ def test_nothing_is_learnt_before_a_fit():
     learner = ml.ConstraintLearner(planar_features())
     for name in ("constraint_", "constraints_", "report_", "reports_"):
         assert not hasattr(learner, name)
-        with pytest.raises(
-            NotFittedError, match=rf"call learner.fit\(demonstrations\) first: {name} exists only after it"
-        ):
+        words = rf"call learner.fit\(demonstrations\) first: {name} exists only after it"
+        with pytest.raises(NotFittedError, match=words):
             getattr(learner, name)
     with pytest.raises(AttributeError, match="'report'"):
         getattr(learner, "report")  # noqa: B009
@@ -131,7 +125,7 @@ def test_settings_out_of_range(settings: dict[str, Any], words: str):
 
 def test_a_policy_model_that_is_none():
     """Refused with its name, where a policy is learnt."""
-    demos, truth = paper(75, n_trajectories=20)
+    demos, truth = paper_motions([0, 1], np.random.default_rng(75), 20)
     with pytest.raises(NotIdentifiableError, match="'sextic'"):
         ml.ConstraintLearner(truth.features, estimator="joint", policy_model="sextic").fit(demos)
 
@@ -180,10 +174,8 @@ def degrees(found: ml.ConstraintLearner, rows: np.ndarray) -> float:
 
 def mapped(given: ml.Demonstrations, **change: Callable[[ml.Trajectory], Any]) -> ml.Demonstrations:
     """ml.Demonstrations in which each field named becomes the function of the trajectory that is given for it."""
-    fields = ("time", "q", "u", "joint_names", "name")
-    return ml.Demonstrations(
-        [ml.Trajectory(**{f: change.get(f, lambda t, f=f: getattr(t, f))(t) for f in fields}) for t in given]
-    )
+    made = [dataclasses.replace(t, exact=False, **{f: make(t) for f, make in change.items()}) for t in given]
+    return ml.Demonstrations(made)
 
 
 def of_each(cases: dict[str, Any]):

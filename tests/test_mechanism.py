@@ -204,9 +204,8 @@ def test_what_was_moved_between_recordings_is_learnt_as_it_stood_last() -> None:
 
 def test_an_arm_whose_zeros_are_off_sees_one_drawer() -> None:
     """By a degree, with encoders so fine that every posture shows another direction clearly."""
-    found = fit(
-        "xarm7", recordings("xarm7", [along(DRAWER, 0.2, firm=False)] * 8, 7, noise=2e-5, zeros=1.0), "xyz", None
-    )
+    demos = recordings("xarm7", [along(DRAWER, 0.2, firm=False)] * 8, 7, noise=2e-5, zeros=1.0)
+    found = fit("xarm7", demos, "xyz", None)
     assert len(found.constraints_) == 1 and found.constraint_.n_constraints == 2
     assert not any("moved" in w or "tasks" in w for w in found.report_.warnings)
 

@@ -173,10 +173,7 @@ def test_what_is_stated_holds_in_two_cases_of_three(robot_of, kind, path, form, 
     robot, rng, inside, variances = robot_of("panda"), np.random.default_rng(11), defaultdict[str, list](list), []
     exact = [t.q for t in demonstrate(robot, TIP, MIDDLE, path, np.random.default_rng(3), noise=0.0)]
     features = PlaceRows(robot, TIP, form, robot.position(MIDDLE, TIP))
-    time, radius = (
-        0.02 * np.arange(len(exact[0])),
-        np.linalg.norm(np.cross(AXIS, robot.position(exact[0][0], TIP) - POINT)),
-    )
+    time, radius = 0.02 * np.arange(len(exact[0])), np.linalg.norm(np.cross(AXIS, features.middle - POINT))
     for _ in range(SETS):
         noise = [rng.normal(0.0, WHITE, q.shape) for q in exact]
         if smoothed:
