@@ -138,7 +138,7 @@ lowest: $(LOWEST)/made
 		-p no:cacheprovider -m 'not slow and not bench and not fuzz and not browser' $(QUICK) $(ARGS)
 
 # wheel and sdist; the wheel's own demo, in an environment without extras and in a folder that holds nothing; then with
-# extras a user's first hour: own arm, foreign recordings, mistakes, a notebook (tests/first_hour)
+# extras a user's first hour: own arm, foreign recordings, a notebook (tests/first_hour)
 package: $(VENV)/dev
 	rm -rf dist
 	$(BIN)/python -m build --outdir dist .

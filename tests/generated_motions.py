@@ -8,16 +8,11 @@ from functools import partial
 import numpy as np
 
 import manip_learn as ml
-from manip_learn.experiments.paper_setup import AXES, Setup, demonstrate
+from manip_learn.experiments.paper_setup import AXES, Setup, demonstrate, planar_features
 
 PLANAR_ROWS = {"xy": [0, 1], "x-theta": [0, 2], "y-theta": [1, 2]}
 Velocity = Callable[[np.ndarray, float], np.ndarray]
 made = partial(ml.Trajectory, exact=True)  # velocities are those that made the positions
-
-
-def planar_features() -> ml.FrameJacobian:
-    """x, y and the angle of the tip of the paper's arm: three links of 1 m."""
-    return ml.FrameJacobian(ml.load_robot("planar3"), "tip", "planar")
 
 
 def arm_features(axes: str = "xyz", reference: str = "world") -> ml.FrameJacobian:

@@ -85,24 +85,15 @@ def with_fault(text: str, i: int, k: int) -> tuple[str, str]:
     """The file with a fault in it, and what the function around it promises."""
     tree = ast.parse(text)
     node = list(_code(tree))[i]
-    exchange = _Exchange(node, ast.copy_location(list(_faulty(node))[k], node))
-    return ast.unparse(ast.fix_missing_locations(exchange.visit(tree))), exchange.promise
+    new = ast.copy_location(list(_faulty(node))[k], node)
+    documented = [n for n in ast.walk(tree) if isinstance(n, ast.Module | ast.FunctionDef | ast.ClassDef)]
+    around = [said for n in documented if node in ast.walk(n) and (said := ast.get_docstring(n))]  # innermost last
 
+    class Exchange(ast.NodeTransformer):
+        def visit(self, old: ast.AST) -> ast.AST:
+            return new if old is node else self.generic_visit(old)
 
-class _Exchange(ast.NodeTransformer):
-    def __init__(self, node: ast.AST, new: ast.AST):
-        self.node, self.new, self.around, self.promise = node, new, [""], ""
-
-    def visit(self, node: ast.AST) -> ast.AST:
-        """Put the new node in the place of the old one, and note what the innermost documented thing around it says."""
-        if node is self.node:
-            self.promise = self.around[-1]
-            return self.new
-        said = ast.get_docstring(node) if isinstance(node, ast.Module | ast.FunctionDef | ast.ClassDef) else None
-        self.around.append((said or self.around[-1]).split("\n")[0])
-        visited = self.generic_visit(node)
-        self.around.pop()
-        return visited
+    return ast.unparse(ast.fix_missing_locations(Exchange().visit(tree))), around[-1].partition("\n")[0]
 
 
 def _code(node: ast.AST) -> Iterator[ast.expr | ast.stmt]:

@@ -25,19 +25,16 @@ def read(name: str) -> str:
 
 
 def test_the_workflow_runs_what_a_developer_runs():
-    """One job calls `.ci/run` on the lowest Python, with the history that its check of the changelog needs and the pull
-    request's base; others test the newest Python and macOS, and look up vulnerabilities.
+    """`.ci/run` runs on the lowest Python, with rights to read, and with the history and the base of the pull request,
+    which its check of the changelog needs.
     """
     workflow = YAML(typ="safe").load(read(".github/workflows/ci.yml"))
-    assert set(workflow["on"]) == {"push", "pull_request"} and workflow["permissions"] == {"contents": "read"}
+    assert workflow["permissions"] == {"contents": "read"}
     checkout, python, run = workflow["jobs"]["everything"]["steps"]
     assert checkout["with"]["fetch-depth"] == 0
     assert f'requires-python = ">={python["with"]["python-version"]}' in read("pyproject.toml")
     assert run["run"] == ".ci/run" and os.access(ROOT / run["run"], os.X_OK)
     assert run["env"] == {"BASE": "${{ github.event.pull_request.base.sha }}"} and '"${BASE:-}"' in read(".ci/run")
-    others = workflow["jobs"]["tests"]["strategy"]["matrix"]["include"]
-    assert {(job["os"], job["python"]) for job in others} == {("ubuntu-latest", "3.13"), ("macos-latest", "3.13")}
-    assert workflow["jobs"]["vulnerabilities"]["steps"][-1] == {"run": "make vulnerabilities"}
 
 
 def test_versions_agree():

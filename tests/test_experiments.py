@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import json
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -17,13 +16,9 @@ from manip_learn.constraint.features import FrameJacobian
 from manip_learn.errors import ExperimentError, OutputError, UnknownNameError
 from manip_learn.experiments import reproduce, sawyer, singular_starts, table
 from manip_learn.experiments.metrics import manipulability_along, mie, nmie, policy_rmse, scale_free_nmie
-from manip_learn.experiments.paper_setup import (
-    PAPER_NMIE,
-    SELECTIONS,
-    Setup,
-)  # fmt: skip
+from manip_learn.experiments.paper_setup import PAPER_NMIE, SELECTIONS, Setup
 from manip_learn.experiments.reproduce import write_result
-from manip_learn.experiments.results import TrialsResult, number, share, summary
+from manip_learn.experiments.results import summary
 from manip_learn.experiments.table import LABELS, LearningCase, learning_trial
 from manip_learn.experiments.trials import Trials
 
@@ -31,38 +26,25 @@ pytestmark = pytest.mark.timeout(400)  # fixtures of half a minute, which others
 ANSWER = {"rows": 2, "train": 0.1, "scale_free": 0.2, "angle_deg": 0.3, "seconds": 0.5}
 
 
-class Result(TrialsResult):
-    """Outcomes without tables."""
-
-    to_dict = markdown = figures = lambda self: {}  # type: ignore[assignment]
-
-
-@dataclass(frozen=True)
-class Dice:
-    """Settings of a trial that only draws."""
-
-    sides: int
-
-
-def throw(of: Dice, rng: Generator) -> dict[str, int]:
-    """A trial."""
-    return {"value": int(rng.integers(of.sides))}
+def throw(_: Setup, rng: Generator) -> dict[str, int]:
+    """A trial that only draws."""
+    return {"value": int(rng.integers(10**9))}
 
 
 def run(name: str, trial, setting, trials: int, seed: int, workers: int = 1) -> list[dict[str, Any]]:
     """Outcomes of one case."""
-    experiment = Trials(name, trial, {"case": setting}, Result)
+    experiment = Trials(name, trial, {"case": setting}, table.TableResult)
     return experiment.run(trials, np.random.default_rng(seed), workers).outcomes["case"]
 
 
 def test_trials_have_seeds_of_their_own():
     """Trials differ from each other, the same call gives the same numbers, another seed or experiment other ones."""
-    first = run("dice", throw, Dice(10**9), 12, seed=3)
+    first = run("dice", throw, Setup(), 12, seed=3)
     assert len({t["value"] for t in first}) == 12
-    assert run("dice", throw, Dice(10**9), 12, seed=3) == first
-    assert run("dice", throw, Dice(10**9), 12, seed=4) != first
-    assert run("coins", throw, Dice(10**9), 12, seed=3) != first
-    assert run("dice", throw, Dice(10**9), 3, seed=3) == first[:3]
+    assert run("dice", throw, Setup(), 12, seed=3) == first
+    assert run("dice", throw, Setup(), 12, seed=4) != first
+    assert run("coins", throw, Setup(), 12, seed=3) != first
+    assert run("dice", throw, Setup(), 3, seed=3) == first[:3]
 
 
 def test_number_of_workers_does_not_change_numbers():
@@ -123,18 +105,10 @@ def test_table_has_the_shape_that_checks_read():
     assert result.rows()[1] | {"auto.refused": "too-few", "separate.test": 2.0} == result.rows()[1]
 
 
-def test_statistics_and_numbers_for_tables():
-    """Mean, sample s.d., median and worst, None where there is no number; short words, and never misleading ones."""
-    assert summary([1.0, None, 2.0, 6.0]) == {"mean": 3.0, "sd": 7.0**0.5, "median": 2.0, "worst": 6.0, "n": 3}
-    assert summary([4.0])["sd"] == 0.0 and summary([]) == dict.fromkeys(("mean", "sd", "median", "worst")) | {"n": 0}
-    assert share([True, False]) == 0.5 and share([]) is None
-    words = {None: "-", 0.0: "0", 1.23e-7: "1.2e-07", 0.314: "0.31", 9.96: "10", 1000.0: "1.0e+03", 0.00999: "1.0e-02"}
-    assert [number(value) for value in words] == list(words.values())
-
-
 def test_errors_are_as_defined(robot_of, rng):
     """MIE, NMIE and its scale-free form on given postures, from mu = sqrt(det(A A^T)) written out; where
-    mu~ = 0 everywhere no factor is best, and the scale-free error is that of zero, not NaN.
+    mu~ = 0 everywhere no factor is best, and the scale-free error is that of zero, not NaN. The error of a policy is
+    the root of the squared distance, summed over the joints and averaged over the time.
     """
     robot = robot_of("sawyer")
     features = FrameJacobian(robot, "right_hand")
@@ -151,20 +125,12 @@ def test_errors_are_as_defined(robot_of, rng):
     best = min(np.mean((mu[:, None] - other[:, None] * scales) ** 2, axis=0))
     assert scale_free_nmie(mu, other) == pytest.approx(best / np.var(mu), rel=1e-3)
     assert scale_free_nmie(mu, np.zeros(30)) == pytest.approx(np.mean(mu**2) / np.var(mu))
-
-
-def test_policy_rmse():
-    """Root of the mean squared distance of two policies: summed over the joints, averaged over the time."""
     pi = np.array([[[1.0, 0.0], [0.0, 1.0]], [[3.0, 0.0], [0.0, 4.0]]])
     assert_allclose(policy_rmse(pi, np.zeros_like(pi)), [1.0, np.sqrt(12.5)])
     assert_allclose(policy_rmse(pi[1:], pi[:1]), [np.sqrt((2.0**2 + 3.0**2) / 2)])
 
 
-# ---- the systems that the experiments run on
-def differences(function, q: np.ndarray, h: float = 1e-6) -> np.ndarray:
-    """Central differences, the derivative index last."""
-    steps = h * np.eye(len(q))
-    return np.stack([(np.asarray(function(q + s)) - np.asarray(function(q - s))) / (2 * h) for s in steps], axis=-1)
+# ---- the systems that the experiments run on ----------------------------------------------------------------------
 
 
 def test_every_way_to_learn_learns(rng):
@@ -185,12 +151,6 @@ def singular():
     return singular_starts.SINGULAR.run(1, np.random.default_rng(0))
 
 
-@pytest.fixture(scope="module")
-def near_singular():
-    """One result of the second comparison."""
-    return singular_starts.NEAR_SINGULAR.run(1, np.random.default_rng(0))
-
-
 def test_singular_start_is_the_papers_picture(singular):
     """Zero is stuck at 3 m, the attractor dips, climbing keeps mu above 0.866 from step 3; the threshold is Matlab's.
 
@@ -207,9 +167,9 @@ def test_singular_start_is_the_papers_picture(singular):
     assert numbers["attractor, dt 0.02 s"]["min_manipulability"] == pytest.approx(0.0831, abs=1e-3)
 
 
-def test_figure_2_is_judged_over_starts_that_differ_by_rounding(near_singular, singular):
+def test_figure_2_is_judged_over_starts_that_differ_by_rounding(singular):
     """Zero and manipulability policies rest on the target from all of them, the attractor from none."""
-    rounding = near_singular.to_dict()["rounding"]
+    rounding = singular_starts.NEAR_SINGULAR.run(1, np.random.default_rng(0)).to_dict()["rounding"]
     assert not singular.rounding
     for policy in ("zero", "manipulability"):
         assert rounding[policy]["at_rest"] == rounding[policy]["n"]

@@ -20,7 +20,7 @@ from manip_learn.linalg import row_space_angle
 
 TCP = "panda_hand_tcp"
 PLACE = {"axis": (0.3, -0.5, 0.8), "point": (0.4, 0.2, 0.3), "pitch": 0.07}
-NAN = np.nan
+NAN, NO_ROTATIONS = np.nan, ([1, 1, -1, 1], [0, 0, 0, 0], [2, 2, 2, 1])
 
 
 @pytest.fixture
@@ -34,7 +34,7 @@ def test_what_is_refused(robot_of, panda):
     """
     sawyer, zero = robot_of("sawyer"), np.zeros(7)
     hand, mass, other = ml.FrameJacobian(panda, TCP), ml.CentreOfMass(panda), ml.FrameJacobian(sawyer, "right_hand")
-    rail = ml.CurveRows(panda, TCP, np.eye(4, 3))
+    rail, pose = ml.CurveRows(panda, TCP, np.eye(4, 3)), ml.FrameJacobian(panda, TCP, "pose")
     on_rail = ml.Constraint(np.eye(2, 3), rail)
     one = ml.CustomFeatures(lambda q: [[1.0, 0.0]], ("f",), nv=2)
 
@@ -89,6 +89,8 @@ def test_what_is_refused(robot_of, panda):
         (lambda: seen("right_l3").error_to([1.0, 2.0], zero), TargetError, "1 finite"),
         (lambda: ml.Stacked([hand, mass]).error_to([0.1, 0.2], zero), TargetError, "6 finite"),
         (lambda: ml.FrameJacobian(panda, TCP, "x z", "local").error_to([0.1, 0.2], zero), TargetError, "4 x 4 pose"),
+        *((lambda d=d: pose.error_to(np.diag(d), zero), TargetError, "not a rotation") for d in NO_ROTATIONS),
+        (lambda: pose.error_jacobian(np.full((4, 4), NAN), zero), TargetError, "finite"),
     ]
     for number, (call, error, words) in enumerate(refused):
         with case(number, words), pytest.raises(error, match=words) as caught:
@@ -114,7 +116,8 @@ def test_rows_are_those_of_the_full_jacobian(panda, rng):
 
 def test_error_to_a_pose(robot_of, rng):
     """The displacement vanishes at the target, and following it (r' = error) leads there from half a radian away; six
-    numbers, position and rotation vector, mean the same as the 4 x 4 pose; an angle goes the short way, through pi.
+    numbers, position and rotation vector, mean the same as the 4 x 4 pose, which may be written with few digits; an
+    angle goes the short way, through pi.
     """
     robot = robot_of("ur5")
     goal = robot.configuration([0.3, -1.0, 1.2, -0.4, 1.0, 0.2])
@@ -123,6 +126,7 @@ def test_error_to_a_pose(robot_of, rng):
             features = ml.FrameJacobian(robot, tip_of("ur5"), axes, reference)
             pose = robot.pose(goal, features.frame)
             assert_allclose(features.error_to(pose, goal), 0.0, rtol=0, atol=1e-12)
+            assert np.linalg.norm(features.error_to(np.round(pose, 5), goal)) < 1e-4
             q = robot.integrate(goal, 0.2 * rng.normal(size=robot.nv))
             if axes == "pose":
                 numbers = np.concatenate([pose[:3, 3], Rotation.from_matrix(pose[:3, :3]).as_rotvec()])

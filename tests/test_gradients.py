@@ -18,7 +18,7 @@ import manip_learn as ml
 from manip_learn.constraint.features.mechanism_rows import PlaceRows
 from manip_learn.constraint.manipulability import gradient_from, smallest_gradient
 from manip_learn.constraint.place import ROW_UNITS
-from manip_learn.errors import ConfigurationError, TargetError
+from manip_learn.errors import ConfigurationError
 from manip_learn.linalg import EPS, manipulability_of
 from manip_learn.robot.rotations import rotation_matrix
 
@@ -107,12 +107,10 @@ def test_every_feature_map(robot_of: RobotOf, rng: np.random.Generator, name: st
 def test_rows_are_rates(robot_of: RobotOf, rng: np.random.Generator, name: str):
     """Rows are the rate of the frame's origin and orientation in the base, in itself, and as another frame sees it;
     those of the centre of mass that of its place, those of a curve that of the distances and the length along it.
-    Without a derivative of the user's own, differences come within 1e-8.
     """
     robot = robot_of(name)
     frame, other = robot.frame(tip_of(name)), robot.frame(other_frame(robot))
     mass, relative = ml.CentreOfMass(robot), ml.RelativeFrameJacobian(robot, frame.name, other.name)
-    custom = ml.CustomFeatures(lambda q: robot.jacobian(q, frame)[:2], ("x", "y"), robot=robot)
 
     def twist(pose: Callable[[np.ndarray], np.ndarray], q: np.ndarray) -> np.ndarray:
         rate = central_difference(pose, robot, q)
@@ -125,22 +123,20 @@ def test_rows_are_rates(robot_of: RobotOf, rng: np.random.Generator, name: str):
             world, local = robot.jacobian(q, frame, "world"), robot.jacobian(q, frame, "local")
             seen = twist(lambda x: np.linalg.inv(robot.pose(x, other)) @ robot.pose(x, frame), q)
             rail = bent_rail(robot, frame.name, q)
-            exact = ml.FrameJacobian(robot, frame.name, "x y").derivative(q)
             for got, wanted, atol in (
                 (world, twist(lambda x: robot.pose(x, frame), q), 1e-8),
                 (local, np.concatenate([R.T @ world[:3], R.T @ world[3:]]), 1e-12),
                 (relative(q), seen, 1e-8),
                 (mass(q), central_difference(mass.coordinates, robot, q), 1e-8),
                 (rail(q), central_difference(rail.coordinates, robot, q), 2e-6),
-                (custom.derivative(q), exact, 1e-8),
             ):
                 assert_allclose(got, wanted, rtol=0, atol=atol)
 
 
 @pytest.mark.parametrize("name", ["one", "gantry", "wrist", "humanoid", "tree", "mimic", "planar3", "ur5", "panda"])
 def test_manipulability_gradients(robot_of: RobotOf, rng: np.random.Generator, name: str):
-    """grad mu, grad log mu and grad mu_w of dense random rows of every feature map are right to 1e-6; mu and its
-    gradient are the same in bulk and in every orthonormal basis of the rows.
+    """The gradients of mu, log mu and the smallest singular value of dense random rows of every feature map are right
+    to 1e-6; mu and its gradient are the same in bulk and in every orthonormal basis of the rows.
     """
     robot, compared = robot_of(name), 0
     middle = np.stack([robot.configuration(0.5 * robot.positions(robot.random_configuration(rng))) for _ in range(2)])
@@ -173,6 +169,11 @@ def test_manipulability_gradients(robot_of: RobotOf, rng: np.random.Generator, n
                     assert_allclose(gradient, expected, rtol=0, atol=1e-6 * scale)
                     assert_allclose(log, gradient / mu, rtol=1e-12, atol=slack / mu)
                     compared += 1
+                    A, vjp = constraint.value_and_vjp(x)
+                    if sigma[-1] < 0.05 or (s > 1 and sigma[-2] - sigma[-1] < 0.05):
+                        continue
+                    slope = central_difference(lambda y, c=constraint: np.linalg.norm(c(y), -2), robot, x)
+                    assert_allclose(smallest_gradient(np.linalg.svd(A), vjp), slope, atol=1e-6 * scale)
     assert compared > 15
 
 
@@ -221,8 +222,8 @@ CONES = {
 def test_singularities(robot_of: RobotOf, rng: np.random.Generator, which: str):
     """At an exact singularity grad mu has the direction and the rate of the cone's steepest ascent: mu rises along it
     at the rate claimed, either way, and faster than along 200 directions at random, its largest entry being positive.
-    From 1e-2 down to 1e-13 beside it the gradients stay finite, and grad mu keeps pointing up the cone: a step along it
-    raises mu (one of 1e-9 where the distance itself drowns in rounding).
+    At distances of 1e-2 down to 1e-13 the gradients stay finite, the gradient in bulk (of the planar arm) is that of
+    the single posture, and a step along it raises mu (one of 1e-9 where the distance itself drowns in rounding).
     """
     name, axes, selection, positions = CONES[which]
     robot = robot_of(name)
@@ -256,22 +257,16 @@ def test_singularities(robot_of: RobotOf, rng: np.random.Generator, which: str):
             gradient, log = (f(constraint, near) for f in MU_GRADIENTS)
             length = float(np.linalg.norm(gradient))
             assert np.all(np.isfinite([gradient, log])) and length <= 1.5 * rate + 0.1
+            if name == "planar3" and distance > 1e-12:
+                bulk = ml.manipulability_batch(constraint, near[None]).gradient[0]
+                assert_allclose(bulk, gradient, rtol=0, atol=1e-9 * length)
             step = robot.integrate(near, (1e-2 * distance if distance > 1e-11 else 1e-9) * gradient / length)
             assert ml.manipulability(constraint, step) >= ml.manipulability(constraint, near)
 
 
-def test_many_postures_at_and_near_singularities(robot_of: RobotOf):
-    """The gradient in bulk is that of the single posture, ever closer to the singularity and on it, where it is the
-    steepest ascent, in the middle of good postures too; a bad posture is refused by its row.
-    """
+def test_singular_postures_in_bulk(robot_of: RobotOf):
+    """A singular posture among good ones has a gradient, that of its cone; a bad posture is refused by its row."""
     constraint = ml.Constraint(np.eye(2), ml.FrameJacobian(robot_of("planar3"), "tip", "x y"))
-    for distance in (1e-1, 1e-3, 1e-5, 1e-8, 1e-11):
-        with case(distance):
-            q = np.array([[0.3, distance, distance], [-0.4, 0.5 * distance, 0.5 * distance]])
-            expected = np.array([ml.manipulability_gradient(constraint, x) for x in q])
-            scale = np.max(np.abs(expected), axis=1, keepdims=True)
-            got = ml.manipulability_batch(constraint, q).gradient
-            assert_allclose(got / scale, expected / scale, atol=1e-9)
     q = np.array([[0.3, 0.7, -0.4], [0.5, 0.0, 0.0], [1.0, -0.3, 0.9], [0.2, 0.0, np.pi]])
     batch = ml.manipulability_batch(constraint, q)
     sigma = np.linalg.svd(constraint(q[1]), compute_uv=False)
@@ -285,48 +280,23 @@ def test_many_postures_at_and_near_singularities(robot_of: RobotOf):
             evaluate()
 
 
-@pytest.mark.parametrize("name", ["planar3", "panda", "gantry"])
-def test_gradient_of_the_smallest_singular_value(name: str, robot_of: RobotOf, rng: np.random.Generator) -> None:
-    """It is the slope of sigma_min, wherever that is neither 0 nor double."""
-    robot = robot_of(name)
-    constraint = ml.Constraint(np.eye(2), ml.FrameJacobian(robot, tip_of(name), "x y"))
-    for _ in range(5):
-        q = robot.random_configuration(rng)
-        A, vjp = constraint.value_and_vjp(q)
-        sigma = np.linalg.svd(A, compute_uv=False)
-        if min(sigma[1], sigma[0] - sigma[1]) >= 0.05:
-            slope = central_difference(lambda x: float(np.linalg.svd(constraint(x), compute_uv=False)[-1]), robot, q)
-            assert_allclose(smallest_gradient(np.linalg.svd(A), vjp), slope.reshape(-1), atol=1e-6)
-
-
 ANGLES = [0.0, 1e-9, 1e-4, 0.5, 2.6, 3.1]
 AXES = ["pose", "xyz", "rotation", "x y rz", "rx ry", "rz", "z rx"]
 
 
 def features_of(robot: ml.Robot, axes: str, view: str) -> ml.FeatureMap:
     """Rows of the hand in the base, in itself, or as a link sees it."""
-    tip = "panda_hand_tcp"
-    relative = view == "relative"
-    return (
-        ml.RelativeFrameJacobian(robot, tip, "panda_link3", axes)
-        if relative
-        else ml.FrameJacobian(robot, tip, axes, view)
-    )
+    if view == "relative":
+        return ml.RelativeFrameJacobian(robot, TIPS["panda"], "panda_link3", axes)
+    return ml.FrameJacobian(robot, TIPS["panda"], axes, view)
 
 
-def pose_of(features: ml.FeatureMap, q: np.ndarray) -> np.ndarray:
-    """Its pose there."""
-    pose = features.robot.pose(q, features.frame)
-    relative = isinstance(features, ml.RelativeFrameJacobian)
-    return np.linalg.inv(features.robot.pose(q, features.relative_to)) @ pose if relative else pose
-
-
-def check_rate(features: ml.FeatureMap, target: np.ndarray, q: np.ndarray, u: np.ndarray) -> None:
-    """d/dt error = -E u, by a central difference of order four along u; of the coordinates C u."""
-    error, h = [features.error_to(target, q + k * H * u) for k in (-2, -1, 1, 2)], 12.0 * H
+def check_rate(features: ml.FeatureMap, target: np.ndarray, q: np.ndarray) -> None:
+    """-E is the derivative of the error, and comes with it."""
+    slope = central_difference(lambda x: features.error_to(target, x), features.robot, q)
     E = features.error_jacobian(target, q)
     E = features(q) if E is None else E
-    assert_allclose(-E @ u, (error[0] - 8.0 * error[1] + 8.0 * error[2] - error[3]) / h, rtol=0, atol=1e-6)
+    assert_allclose(-E, slope, rtol=0, atol=1e-6)
     value, together = features.error_and_jacobian(target, q)
     assert_array_equal(value, features.error_to(target, q))
     assert_array_equal(features(q) if together is None else together, E)
@@ -334,8 +304,8 @@ def check_rate(features: ml.FeatureMap, target: np.ndarray, q: np.ndarray, u: np
 
 @pytest.mark.parametrize("view", ["world", "local", "relative"])
 def test_error_jacobian(robot_of: RobotOf, rng: np.random.Generator, view: str) -> None:
-    """d/dt error = -E u to 1e-6 for every mix of axes, at every angle between frame and target that is a pose, on which
-    E is A(q); and for targets that are numbers, where coordinates that are not among the rows go with the frame. For
+    """The derivative of the error is -E to 1e-6 for every mix of axes, at every angle between frame and target; at the
+    target E is A(q). The same for targets that are numbers, where coordinates that are not rows go with the frame. For
     positions along the base E is A(q) everywhere (None).
     """
     robot = robot_of("panda")
@@ -343,24 +313,24 @@ def test_error_jacobian(robot_of: RobotOf, rng: np.random.Generator, view: str) 
         features, compared = features_of(robot, axes, view), 0
         for angle in ANGLES:
             with case(axes, angle):
-                q, u = rng.uniform(-1.0, 1.0, (2, 7))
+                q = rng.uniform(-1.0, 1.0, 7)
                 axis, away = (v / np.linalg.norm(v) for v in rng.normal(size=(2, 3)))
-                target = pose_of(features, q)
+                target = features.pose(q) if view == "relative" else robot.pose(q, features.frame)
                 if axes != "xyz":
                     E = features.error_jacobian(target, q)
                     assert_allclose(E, features(q), rtol=0, atol=rounding(8 * robot.nv, E))
                 target[:3, :3] = rotation_matrix(angle * axis) @ target[:3, :3]
                 target[:3, 3] += 0.2 * away
-                check_rate(features, target, q, u)
+                check_rate(features, target, q)
         if view == "local" and axes not in ("pose", "xyz", "rotation"):
             continue  # numbers do not determine such a target
         for _ in range(6):
-            q, goal, u = rng.uniform(-1.0, 1.0, (3, 7))
+            q, goal = rng.uniform(-1.0, 1.0, (2, 7))
             target = features.coordinates(goal)
-            if any(np.linalg.norm(features.error_to(target, q + k * 1e-4 * u)[-3:]) > 3.0 for k in (-1, 0, 1)):
+            if np.linalg.norm(features.error_to(target, q)[-3:]) > 3.0:
                 continue  # next to half a turn the error changes its sign
             with case(axes, target):
-                check_rate(features, target, q, u)
+                check_rate(features, target, q)
                 C = features.coordinates_jacobian(q)
                 C = features(q) if C is None else C
                 if view != "local":
@@ -372,15 +342,3 @@ def test_error_jacobian(robot_of: RobotOf, rng: np.random.Generator, view: str) 
         assert features.error_jacobian(target, q) is None and features.coordinates_jacobian(q) is None
         task = ml.PointAttractor(target)
         assert task.error_jacobian(ml.Constraint(np.eye(len(target)), features), q, 0.0) is None
-
-
-def test_poses_that_are_none(robot_of: RobotOf, rng: np.random.Generator) -> None:
-    """A matrix that is no rotation is refused with a sentence; one written with few digits is taken."""
-    features, q = features_of(robot_of("panda"), "pose", "world"), rng.uniform(-1.0, 1.0, 7)
-    pose = pose_of(features, q)
-    assert np.linalg.norm(features.error_to(np.round(pose, 5), q)) < 1e-4
-    for fault in (np.diag([1.0, 1.0, -1.0, 1.0]), np.zeros((4, 4)), np.diag([2.0, 2.0, 2.0, 1.0])):
-        with pytest.raises(TargetError, match="not a rotation matrix"):
-            features.error_to(pose @ fault, q)
-    with pytest.raises(TargetError):
-        features.error_jacobian(np.full((4, 4), np.nan), q)

@@ -4,11 +4,9 @@ rows that are not guessed; and the paper's own route, the separation of task and
 
 from __future__ import annotations
 
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
+from efficiency import measure, motion_of, noisy
 from generated_motions import PLANAR_ROWS, arm_features, oblique, paper_motions
 from numpy.testing import assert_allclose
 
@@ -20,9 +18,6 @@ from manip_learn.learning import imposed
 from manip_learn.learning.imposed import Data, PolicyFit, learn_imposed, residual_and_jacobian, separate_null_motion
 from manip_learn.learning.table import Settings, Table, View
 from manip_learn.linalg import complement_rows, orthonormal_rows, row_space_angle
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
-from efficiency import measure, motion_of, noisy  # noqa: E402
 
 
 def fit(demos, features: ml.FeatureMap | None = None, *args, **settings) -> ml.ConstraintLearner:

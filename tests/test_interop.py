@@ -10,11 +10,8 @@ import pytest
 
 import manip_learn as ml
 from manip_learn.cli import main
-from manip_learn.constraint.constraint import Constraint
-from manip_learn.constraint.features import FrameJacobian, MechanismRows, RelativeFrameJacobian
 from manip_learn.control.interop.force_control import TOLERANCE, force_mode, impedance, moveit_constraints, urscript
 from manip_learn.errors import ConfigurationError, ConstraintError, MissingExtraError, UnknownNameError
-from manip_learn.robot import load_robot
 
 # ---- controllers of force and stiffness ----
 
@@ -24,16 +21,16 @@ FIRM = "turn-1 turn-2 slide-1 slide-2 slide"
 
 @pytest.fixture(scope="module")
 def ur5():
-    return load_robot("ur5")
+    return ml.load_robot("ur5")
 
 
 def posture(robot) -> np.ndarray:
     return robot.random_configuration(np.random.default_rng(3))
 
 
-def hinge(robot, rows: str) -> Constraint:
-    features = MechanismRows(robot, "tool0", rows, axis=AXIS, point=POINT)
-    return Constraint(np.eye(features.n_rows), features)
+def hinge(robot, rows: str) -> ml.Constraint:
+    features = ml.MechanismRows(robot, "tool0", rows, axis=AXIS, point=POINT)
+    return ml.Constraint(np.eye(features.n_rows), features)
 
 
 @pytest.mark.parametrize("rows", ["radial axial", FIRM])
@@ -89,8 +86,8 @@ def test_command_writes_each_of_them(tmp_path, capsys):
     """`export --to` writes each format of a constraint file and says what the frame holds; what cannot be is one
     sentence and exit code 2, and the constraint file is never overwritten.
     """
-    robot, file = load_robot("sawyer"), tmp_path / "task.json"
-    Constraint([[0, 0, 1]], FrameJacobian(robot, "right_gripper_tip", "xyz")).save(file)
+    robot, file = ml.load_robot("sawyer"), tmp_path / "task.json"
+    ml.Constraint([[0, 0, 1]], ml.FrameJacobian(robot, "right_gripper_tip", "xyz")).save(file)
 
     def export(to, out, *more):
         code = main(["export", "sawyer", str(file), "--to", to, "--out", str(out), *more])
@@ -111,13 +108,13 @@ def test_command_writes_each_of_them(tmp_path, capsys):
         assert code == 2 and said.err.count("\n") <= 3
     assert export("json", file)[0] == 0  # which adds to it
     for written in (file, tmp_path / "out.json"):
-        assert Constraint.load(written, robot).n_constraints == 1
+        assert ml.Constraint.load(written, robot).n_constraints == 1
 
 
 def test_rows_of_two_moving_frames_are_refused():
     """A frame that itself moves is no frame of a force controller or a planner: a sentence says so."""
-    robot = load_robot("panda", locked=("panda_finger_joint1", "panda_finger_joint2"))
-    constraint = Constraint([[0, 0, 1]], RelativeFrameJacobian(robot, "panda_hand_tcp", "panda_link3", "xyz"))
+    robot = ml.load_robot("panda", locked=("panda_finger_joint1", "panda_finger_joint2"))
+    constraint = ml.Constraint([[0, 0, 1]], ml.RelativeFrameJacobian(robot, "panda_hand_tcp", "panda_link3", "xyz"))
     for write in (force_mode, urscript, moveit_constraints):
         with pytest.raises(ConstraintError, match="another moving frame"):
             write(constraint, robot.neutral())

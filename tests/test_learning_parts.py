@@ -1,4 +1,6 @@
-"""The learner's parts on their own: table, fit, gaps, doubts, words, report."""
+"""The learner's parts on their own: table, fit, gaps, doubts, words, report; and the recombination test: rows that the
+world holds are found, and nothing else is called certain.
+"""
 
 from __future__ import annotations
 
@@ -6,8 +8,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from generated_motions import arm_features, guided_motions, oblique
+from generated_motions import arm_features, guided_motions, oblique, random_posture, smooth_drive
 from numpy.testing import assert_allclose
+from task_sets import moving
 
 import manip_learn as ml
 from manip_learn.constraint.constraint import describe, free_directions
@@ -15,7 +18,7 @@ from manip_learn.errors import NotIdentifiableError, RecordingError
 from manip_learn.learning import table
 from manip_learn.learning.answer import Answer
 from manip_learn.learning.fit import Motion, RowFit
-from manip_learn.learning.gate import Evidence
+from manip_learn.learning.gate import Evidence, recombination_test
 from manip_learn.learning.table import Stretch, Table, View
 
 
@@ -79,21 +82,15 @@ def test_what_is_too_little_or_too_odd_to_learn_from(rng):
         assert said(q, moved, r).code == code
 
 
-def motion(n: int = 6, noise: float = 1e-3, dt: float = 0.05) -> tuple[Motion, np.ndarray]:
-    """A hand on two rows, by its positions, with an arm that may be off; and the true rows, whitened."""
-    rng = np.random.default_rng(3)
-    demos, truth = guided_motions(arm_features(), oblique(2, 3, rng), rng, n, 40, dt)
-    given = [ml.Trajectory(t.time, t.q + rng.normal(0.0, noise, t.q.shape), t.u, t.joint_names) for t in demos]
-    view = View(truth.features, Table(given))
-    moved = Motion.of(view, whole(view), table.Settings(arm=table.ArmErrors(np.radians(0.1), 5e-4)))
-    return moved, np.linalg.qr((truth.selection @ np.linalg.pinv(view.W)).T)[0].T
-
-
 def test_columns_of_the_fit_are_derivatives():
     """Where the rows hold: by the rows, by the joints' zeros and, scaled to these, by the links, central differences
     of what is left of the displacements, weighted, less the constants of each stretch.
     """
-    moved, true = motion(3, 0.0, 0.005)
+    rng = np.random.default_rng(3)
+    demos, truth = guided_motions(arm_features(), oblique(2, 3, rng), rng, 3, 40, 0.005)
+    view = View(truth.features, Table(list(demos)))
+    moved = Motion.of(view, whole(view), table.Settings(arm=table.ArmErrors(np.radians(0.1), 5e-4)))
+    true = np.linalg.qr((truth.selection @ np.linalg.pinv(view.W)).T)[0].T
     fit, h, nv = RowFit(moved, true), 1e-6, moved.x.shape[1]
 
     def residual(rows: np.ndarray, zeros: np.ndarray) -> np.ndarray:
@@ -135,6 +132,8 @@ def test_its_own_tests_decide_on_an_answer(gap: float, strengths: tuple[float, .
 LINE = ml.Mechanism("line", axis=np.array([0.8, 0.6, 0.0]), uncertainty={"axis": 0.3})
 KNOWN = {"axis": 0.004, "point": 7e-5}
 HINGE = ml.Mechanism("hinge", np.eye(3)[2], np.array([0.4, 0.1, 0.0]), 0.3, orientation="carried", uncertainty=KNOWN)
+HAND = ml.load_robot("sawyer"), "right_gripper_tip"
+WORLD = ml.FrameJacobian(*HAND)
 SENSORS = ml.CustomFeatures(lambda q: np.eye(3), ("a", "b", "c"), 3)
 ACROSS = np.array([[-0.6, 0.8, 0.0], [0.0, 0.0, 1.0]])
 
@@ -142,18 +141,18 @@ ACROSS = np.array([[-0.6, 0.8, 0.0], [0.0, 0.0, 1.0]])
 @pytest.mark.parametrize(
     ("features", "held", "imposed", "angle", "mechanism", "words"),
     [
-        (("xyz", "world"), ACROSS, False, 0.00084, LINE,
+        (WORLD, ACROSS, False, 0.00084, LINE,
          "The tip can move along (0.80, 0.60, 0.00) and is blocked across it. It looks like a straight line "
          "(a drawer). Direction known to 0.0008 degrees."),
-        (("xyz", "world"), ACROSS[:1], False, 2.0, LINE,
+        (WORLD, ACROSS[:1], False, 2.0, LINE,
          "The tip can move along (0.80, 0.60, 0.00) and z and is blocked along (-0.60, 0.80, 0.00). The path alone "
          "looks like a straight line (a drawer), along (0.80, 0.60, 0.00). "
          "Direction known to 2 degrees and axis to 0.3 degrees."),
-        (("xyz", "world"), np.eye(3), False, None, None, "The tip cannot move."),
-        (("x y rz", "world"), np.eye(3)[:2], True, 3e-6, None,
+        (WORLD, np.eye(3), False, None, None, "The tip cannot move."),
+        (ml.FrameJacobian(*HAND, "x y rz"), np.eye(3)[:2], True, 3e-6, None,
          "The tip is steered on purpose along x and y; it can turn about z. "
          "Direction known to better than 0.0001 degrees."),
-        (("radial axial", None), np.eye(2), False, None, HINGE,
+        (ml.MechanismRows(*HAND, "radial axial"), np.eye(2), False, None, HINGE,
          "The tip can move on a circle of radius 0.300 m about the axis (0.00, 0.00, 1.00) through (0.40, 0.10, 0.00) "
          "and cannot leave it. It looks like a hinge (a door); the hand turns with it. "
          "Axis known to 0.004 degrees and place to 0.07 mm."),
@@ -164,12 +163,103 @@ ACROSS = np.array([[-0.6, 0.8, 0.0], [0.0, 0.0, 1.0]])
 )  # fmt: skip
 def test_the_first_sentence(features, held, imposed, angle, mechanism, words):
     """What can move, what is blocked, what it looks like, how sure: each said once, for every kind of rows."""
-    if isinstance(features, tuple):
-        axes, reference = features
-        robot, frame = ml.load_robot("sawyer"), "right_gripper_tip"
-        features = (
-            ml.FrameJacobian(robot, frame, axes, reference) if reference else ml.MechanismRows(robot, frame, axes)
-        )
     kind = "self-imposed" if imposed else "motion-constrained"
     used = np.ones(features.n_rows, dtype=bool)
     assert describe(kind, free_directions(held, used), features, used, angle, mechanism) == words
+
+
+# ---- the recombination test ---------------------------------------------------------------------------------------
+
+
+def states(found: Evidence) -> list[str]:
+    return [row.state for row in found.rows]
+
+
+def verdict(found: Evidence) -> str:
+    return found.verdict(found.n_rows)
+
+
+def wandering(nv: int, rng: np.random.Generator, size: float | list[float] = 1.0) -> ml.Trajectory:
+    """Joints that move independently: the null hypothesis itself."""
+    time, drive = np.arange(0.0, rng.uniform(1.5, 3.0), 0.02), smooth_drive(nv, rng)
+    u = np.array([drive(t) for t in time]) * size
+    return ml.Trajectory(time, 0.02 * np.cumsum(u, axis=0), u)
+
+
+def held_motions(s: int, seed: int, n: int = 5, noise: float = 0.02) -> tuple[ml.FrameJacobian, list[ml.Trajectory]]:
+    features, rng = arm_features(), np.random.default_rng(seed)
+    return features, list(guided_motions(features, oblique(s, 3, rng), rng, n, 100, noise=noise)[0])
+
+
+@pytest.mark.parametrize("kind", ["free", "free_slow", "free_repeated", "free_one_joint", "free_sticking"])
+def test_free_motion_is_never_called_held_for_certain(kind):
+    """Nothing holds the arm, however it is moved: no set of five demonstrations may give a clear answer."""
+    for axes, seed in (("xyz", 0), ("pose", 1)):
+        features, demos, _ = moving(kind, "sawyer", seed, 5)
+        found = recombination_test(ml.FrameJacobian(features.robot, features.frame.name, axes), demos, seed)
+        assert verdict(found) != "clear", (axes, seed, found)
+
+
+def test_chance_finds_a_row_as_rarely_as_its_p_value_says():
+    """Joints that move independently are the null hypothesis itself: p <= 0.2 in about a fifth of the cases."""
+    features, p = arm_features(), []
+    for seed in range(40):
+        rng = np.random.default_rng(seed)
+        start = random_posture(features.robot, rng, 0.2)
+        made = [wandering(7, rng) for _ in range(5)]
+        p.append(recombination_test(features, [ml.Trajectory(t.time, start + t.q, t.u) for t in made], seed).chances[0])
+    assert np.count_nonzero(np.array(p) <= 0.2) <= 16  # of 40, 8 expected: chance of more 0.2 %
+    assert np.median(p) > 0.2
+
+
+def test_held_rows_are_counted_and_clear():
+    """Five noisy demonstrations of a contact give the right number of rows; one or two a weak answer, however firmly
+    they are held, and it says why. Rest, single samples and different lengths are no errors; nothing at all gives no
+    rows and says so.
+    """
+    for s in (1, 2):
+        found = recombination_test(*held_motions(s, 0))
+        assert (found.n_rows, verdict(found)) == (s, "clear"), found
+        assert states(found) == ["held"] * s + ["free"] * (3 - s)
+    for n in (1, 2):
+        found = recombination_test(*held_motions(2, 10, n, noise=0.0))
+        assert (found.n_rows, verdict(found)) == (2, "weak") and "too few to be sure" in found.sentence()
+    features, trajectories = held_motions(2, 11, 6)
+    joints, q = features.robot.joint_names, trajectories[0].q
+    still = ml.Trajectory(np.arange(50.0), q[:50], np.zeros((50, 7)), joints)
+    single = ml.Trajectory(np.zeros(1), q[:1], np.ones((1, 7)), joints)
+    uneven = [t.part(slice(0, 30 + 14 * i)) for i, t in enumerate(trajectories)]
+    found = recombination_test(features, [still, *uneven, single])
+    assert (found.n_rows, found.n_pieces) == (2, 6)
+    for nothing in ([], [still, still, still]):
+        empty = recombination_test(features, nothing)
+        assert (empty.n_rows, verdict(empty)) == (0, "none") and "do not move" in empty.sentence()
+
+
+def of_numbers(strengths, lower=None, p_values=None, levels=(0.01, 0.1, 1.0), **options) -> Evidence:
+    """Evidence of five recordings, with numbers of one's own."""
+    p, lower = p_values or (0.005,) * 3, lower or strengths
+    return Evidence(*map(np.array, (strengths, lower, p, levels)), 5, **options)
+
+
+def test_the_verdict_is_that_of_its_numbers():
+    """A row counts by what its strength exceeds with 99 % confidence: clear from 4, weak from 1.8; no row does with
+    more chance than 1 %, none behind one that is hardly stronger than chance unless it was never tried, and one that is
+    so itself does not count last.
+    """
+    found = of_numbers((10.0, 6.0, 0.9))
+    assert (found.n_rows, verdict(found), states(found)) == (2, "clear", ["held", "held", "free"])
+    assert [row.p_value for row in found.rows] == [0.005] * 3
+    for strengths, lower, options, n_rows in (
+        ((10.0, 2.0, 0.9), (9.0, 1.58, 0.8), {}, 1),
+        ((1.4, 3.0, 0.9), None, {}, 2),  # the first has the least of what noise there is
+        ((1.2, 9.0, 0.9), None, {}, 2),  # never tried: the least used, and as little when joints are exchanged
+        ((9.0, 1.2, 9.0), None, {}, 1),
+        ((9.0, 9.0, 0.9), None, {"p_values": (0.005, 0.011, 0.5)}, 1),
+        ((9.0, 8.0, 0.9), None, {"believed": 8.5}, 1),
+        ((1.0, 0.9, 0.8), None, {"firm": 2}, 2),
+    ):
+        assert of_numbers(strengths, lower, **options).n_rows == n_rows
+    assert verdict(of_numbers((3.0, 2.5, 0.9))) == "weak"
+    assert states(of_numbers((9.0, 1.2, 2.0))) == ["held", "untried", "free"]
+    assert states(of_numbers((9.0, 1.0, 0.9), levels=(0.01, 0.2, 1.0))) == ["held", "free", "free"]

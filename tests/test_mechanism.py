@@ -8,7 +8,7 @@ import re
 
 import numpy as np
 import pytest
-from mechanism_motions import T, about, along, ball, demonstrate, stroke, wave
+from mechanism_motions import about, along, ball, demonstrate, stroke, wave
 from scipy.spatial.transform import Rotation
 from task_sets import arm, learnt, moving
 
@@ -20,18 +20,19 @@ from manip_learn.learning.place import Placement
 
 AXIS = np.array([0.2, -0.3, 0.93]) / np.linalg.norm([0.2, -0.3, 0.93])
 PITCH = 0.04
-MIDDLE = {
-    "panda": [0.2, -0.4, 0.1, -2.0, 0.1, 1.7, 0.8],
-    "ur5": [0.3, -1.3, 1.7, -1.9, -1.4, 0.2],
-    "planar3": [0.4, 0.9, 0.7],
+HANDS = {
+    "panda": ("panda_hand_tcp", [0.2, -0.4, 0.1, -2.0, 0.1, 1.7, 0.8]),
+    "ur5": ("tool0", [0.3, -1.3, 1.7, -1.9, -1.4, 0.2]),
+    "planar3": ("tip", [0.4, 0.9, 0.7]),
+    "xarm7": ("link_eef", [0.0, -0.2, 0.0, 1.2, 0.0, 1.4, 0.0]),
 }
-TIP = {"panda": "panda_hand_tcp", "ur5": "tool0", "planar3": "tip"}
+DRAWER = np.array([[0.8, 0.6, 0.0]])
 
 
-def place(robot, name, distance=0.3):
+def place(name="panda", distance=0.3):
     """A point so far from the tip, straight across AXIS."""
-    handle = robot.position(np.array(MIDDLE[name]), robot.frame(TIP[name]))
-    return handle + distance * (0.6 * across(AXIS)[0] + 0.8 * across(AXIS)[1])
+    frame, middle = HANDS[name]
+    return arm(name).position(np.array(middle), frame) + distance * (0.6 * across(AXIS)[0] + 0.8 * across(AXIS)[1])
 
 
 def paths(point):
@@ -49,19 +50,18 @@ def paths(point):
     }
 
 
-def record(robot_of, name, path, seed=0, **options):
-    robot, rng = robot_of(name), np.random.default_rng(seed)
-    return demonstrate(robot, TIP[name], np.array(MIDDLE[name]), path, rng, **options)
+def recordings(name: str, given: list, seed: int = 0, zeros: float = 0.0, **options) -> list[ml.Trajectory]:
+    """One recording of each path, the joints' zeros off by some degrees."""
+    robot, (frame, middle), rng = arm(name), HANDS[name], np.random.default_rng(seed)
+    made = [demonstrate(robot, frame, np.array(middle), path, rng, n=1, **options)[0] for path in given]
+    off = np.radians(np.random.default_rng(1).normal(0.0, zeros, robot.nv))
+    return [ml.Trajectory(t.time, t.q + off, None, t.joint_names, f"demo_{i}") for i, t in enumerate(made)]
 
 
-def fit(robot_of, name, demos, axes="pose") -> ml.ConstraintLearner:
-    return ml.ConstraintLearner(ml.FrameJacobian(robot_of(name), TIP[name], axes), joint_offset_std=0.0).fit(demos)
-
-
-def find(robot_of, name, demos) -> ml.Mechanism:
-    m = fit(robot_of, name, demos).report_.mechanism
-    assert m is not None
-    return m
+def fit(name: str, demos: list[ml.Trajectory], axes: str = "pose", zeros: float | None = 0.0) -> ml.ConstraintLearner:
+    """Fit with joint zeros that are exact; with `zeros=None` as the learner assumes them."""
+    settings = {} if zeros is None else {"joint_offset_std": zeros}
+    return ml.ConstraintLearner(ml.FrameJacobian(arm(name), HANDS[name][0], axes), **settings).fit(demos)
 
 
 def degrees_between(a, b):
@@ -71,15 +71,14 @@ def degrees_between(a, b):
 @pytest.mark.parametrize(
     ("name", "kind"), [("ur5" if k in ("plane", "screw, firm") else "panda", k) for k in paths(np.zeros(3))]
 )
-def test_type_and_place(robot_of, name, kind):
+def test_type_and_place(name, kind):
     """With encoder noise of 1e-4 rad and only 300 samples: the right type and rows, axis within 0.25 degrees, place and
     radius within 1 mm, pitch within 1 %, each within four or five of its standard deviations; and the constraint holds
     on the motion itself.
     """
-    robot = robot_of(name)
-    point = place(robot, name)
+    robot, tip, point = arm(name), HANDS[name][0], place(name)
     path, kind_of, rows = paths(point)[kind]
-    learner = fit(robot_of, name, record(robot_of, name, path))
+    learner = fit(name, recordings(name, [path] * 5))
     constraint, m = learner.constraint_, learner.report_.mechanism
     assert m is not None and (m.type, constraint.n_constraints) == (kind_of, rows)
     assert m.grip == ("firm" if "firm" in kind or kind == "sleeve" else "loose")
@@ -95,51 +94,45 @@ def test_type_and_place(robot_of, name, kind):
     assert (m.pitch is not None) == (kind_of == "screw")
     if m.pitch is not None:
         assert m.pitch == pytest.approx(PITCH, abs=min(4e-4, 4.0 * m.uncertainty["pitch"] + 1e-6))
-    q = record(robot_of, name, path, n=1, noise=0.0)[0].q
+    q = recordings(name, [path], noise=0.0)[0].q
     step, middle = np.diff(q, axis=0), 0.5 * (q[1:] + q[:-1])
     left = np.array([constraint(x) @ u for x, u in zip(middle, step, strict=True)])
-    free = np.array([robot.jacobian(x, robot.frame(TIP[name])) @ u for x, u in zip(middle, step, strict=True)])
+    free = np.array([robot.jacobian(x, tip) @ u for x, u in zip(middle, step, strict=True)])
     assert np.sqrt(np.sum(left**2) / np.sum(free**2)) < 3e-3
 
 
-def test_a_planar_arm(robot_of):
+def test_a_planar_arm():
     """Rows that a planar arm cannot move anyway are left out: a hinge leaves it one row, and mu is not zero."""
-    robot, up, q = robot_of("planar3"), np.array([0.0, 0.0, 1.0]), np.array(MIDDLE["planar3"])
-    centre = robot.position(q, robot.frame("tip")) + np.array([0.5, -0.4, 0.0])
-    learner = fit(robot_of, "planar3", record(robot_of, "planar3", about(up, centre, 0.6, firm=False)), "xyz")
+    up, q = np.array([0.0, 0.0, 1.0]), np.array(HANDS["planar3"][1])
+    centre = arm("planar3").position(q, "tip") + np.array([0.5, -0.4, 0.0])
+    learner = fit("planar3", recordings("planar3", [about(up, centre, 0.6, firm=False)] * 5), "xyz")
     m, constraint = learner.report_.mechanism, learner.constraint_
     assert m is not None and m.type == "hinge"
     np.testing.assert_allclose(m.point[:2], centre[:2], atol=4e-3)
     assert constraint.n_constraints == 1 and constraint.manipulability(q) > 0.1
 
 
-def test_a_short_arc_is_known_badly_and_says_so(robot_of):
-    """Five degrees of a door: the radius is off by far more than on forty, and its standard deviation says
-    so.
+def test_a_short_arc_is_known_badly_and_says_so():
+    """Five degrees of a door: the radius is off by far more than on forty, its standard deviation says so, and the
+    report says how far to turn it. Three degrees with bad encoders look straight, and the report says that they may not
+    be.
     """
-    point, sigmas = place(robot_of("panda"), "panda"), {}
+    sigmas = {}
     for arc in (5.0, 40.0):
-        path = about(AXIS, point, np.radians(arc), firm=False)
-        m = find(robot_of, "panda", record(robot_of, "panda", path))
+        report = fit("panda", recordings("panda", [about(AXIS, place(), np.radians(arc), firm=False)] * 5)).report_
+        m = report.mechanism
+        assert m is not None and m.type == "hinge"
         sigmas[arc] = m.uncertainty["radius"]
-        assert m.type == "hinge" and abs(m.radius - 0.3) < 4.0 * sigmas[arc]
+        assert abs(m.radius - 0.3) < 4.0 * sigmas[arc]
+        assert any("move it by at least" in w for w in report.warnings) == (arc == 5.0)
     assert sigmas[5.0] > 20.0 * sigmas[40.0]
+    path = about(AXIS, place(), np.radians(3.0), firm=False)
+    report = fit("panda", recordings("panda", [path] * 3, noise=5e-4)).report_
+    assert report.mechanism is not None and report.mechanism.type == "line"
+    assert any("would fit as well" in w for w in report.warnings)
 
 
-def test_too_short_an_arc_is_not_called_straight_without_a_word(robot_of):
-    """Three degrees of a door with bad encoders: a line, or a hinge whose place is known badly and is warned of."""
-    point = place(robot_of("panda"), "panda")
-    path = about(AXIS, point, np.radians(3.0), firm=False)
-    demos = record(robot_of, "panda", path, n=3, noise=5e-4)
-    features = ml.FrameJacobian(robot_of("panda"), TIP["panda"], "pose")
-    report = ml.ConstraintLearner(features, joint_offset_std=0.0).fit(demos).report_
-    if report.mechanism is not None and report.mechanism.type == "line":
-        assert any("would fit as well" in w for w in report.warnings)
-    elif report.mechanism is not None:
-        assert report.mechanism.uncertainty["radius"] > 0.005
-
-
-def test_a_hand_that_turns_alike_each_time_is_no_screw(robot_of):
+def test_a_hand_that_turns_alike_each_time_is_no_screw():
     """A drawer drawn three times along one path, the hand turning with the way: a line, not a helix near it."""
 
     def path(pose, rng):
@@ -147,32 +140,18 @@ def test_a_hand_that_turns_alike_each_time_is_no_screw(robot_of):
         turn = Rotation.from_rotvec(0.8 * np.outer((p - pose[:3, 3]) @ AXIS, across(AXIS)[0]))  # 11 degrees
         return p, turn.as_matrix() @ pose[:3, :3]
 
-    m = find(robot_of, "panda", record(robot_of, "panda", path, n=3, grip=0.02))
-    assert m.type == "line" and degrees_between(m.axis, AXIS) < 0.25
+    m = fit("panda", recordings("panda", [path] * 3, grip=0.02)).report_.mechanism
+    assert m is not None and m.type == "line" and degrees_between(m.axis, AXIS) < 0.25
 
 
-def test_what_is_no_mechanism(robot_of):
-    """Arms that wander freely, or that go the same curved way again and again, are held by nothing; of doors in
-    different places no common place is invented.
-    """
-    s = np.linspace(0.0, 1.0, T)
-    shape, given = 10 * s**3 - 15 * s**4 + 6 * s**5, []
-    for repeats in (False, True):
-        robot, rng, demos = robot_of("panda"), np.random.default_rng(0), []
-        goal = repeats * rng.normal(0.0, 0.5, robot.nv)
-        for _ in range(6):
-            q = MIDDLE["panda"] + wave(rng, np.full(robot.nv, 0.004 if repeats else 0.4))
-            q = q + np.outer(shape, goal + repeats * rng.normal(0.0, 0.01, robot.nv)) + rng.normal(0.0, 1e-4, q.shape)
-            demos.append(ml.Trajectory(np.arange(T) * 0.02, q, None, robot.joint_names))
-        given.append(demos)
+def test_doors_in_different_places_have_no_common_one():
+    """No place is invented for them."""
     doors = []
     for i, distance in enumerate((0.25, 0.33, 0.42, 0.5)):
         axis = AXIS + 0.15 * np.array([np.cos(2.0 * i), np.sin(2.0 * i), 0.0])
-        path = about(axis / np.linalg.norm(axis), place(robot_of("panda"), "panda", distance), 0.6)
-        doors += record(robot_of, "panda", path, seed=i, n=1)
-    for demos in [*given, doors]:
-        with pytest.raises(NotIdentifiableError):
-            fit(robot_of, "panda", demos)
+        doors += recordings("panda", [about(axis / np.linalg.norm(axis), place(distance=distance), 0.6)], i)
+    with pytest.raises(NotIdentifiableError):
+        fit("panda", doors)
 
 
 @pytest.mark.parametrize(
@@ -190,25 +169,6 @@ def test_a_place_that_is_known_badly_is_doubted(off, point, doubted):
 
 # ---- setups, places and shapes ------------------------------------------------------------------------------------
 
-HANDS = {
-    "panda": ("panda_hand_tcp", (0.0, -0.3, 0.0, -1.9, 0.0, 1.7, 0.6)),
-    "xarm7": ("link_eef", (0.0, -0.2, 0.0, 1.2, 0.0, 1.4, 0.0)),
-}
-DRAWER = np.array([[0.8, 0.6, 0.0]])
-
-
-def recordings(name: str, given: list, seed: int, noise: float = 1e-4, zeros: float = 0.0) -> list[ml.Trajectory]:
-    """One recording of each path, the joints' zeros off by some degrees."""
-    robot, (frame, middle), rng = arm(name), HANDS[name], np.random.default_rng(seed)
-    made = [demonstrate(robot, frame, np.array(middle), path, rng, n=1, noise=noise)[0] for path in given]
-    off = np.radians(np.random.default_rng(1).normal(0.0, zeros, robot.nv))
-    return [ml.Trajectory(t.time, t.q + off, None, t.joint_names, f"demo_{i}") for i, t in enumerate(made)]
-
-
-def learner_of(name: str, demos: list[ml.Trajectory]) -> ml.ConstraintLearner:
-    """What is learnt of the hand's place."""
-    return ml.ConstraintLearner(ml.FrameJacobian(arm(name), HANDS[name][0], "xyz")).fit(demos)
-
 
 def turned(degrees: float, axis: tuple[float, float, float] = (0.0, 0.0, 1.0)) -> Rotation:
     """A rotation."""
@@ -225,7 +185,7 @@ def test_two_setups_a_degree_apart_are_learnt_apart() -> None:
     """Half of the recordings each; averaged they would be half a degree off both, without a word."""
     other = turned(1.0, (0.0, 0.7, 0.7)).apply(DRAWER)
     given = [along(other if i % 2 else DRAWER, 0.25, firm=False) for i in range(8)]
-    found = learner_of("xarm7", recordings("xarm7", given, 3))
+    found = fit("xarm7", recordings("xarm7", given, 3), "xyz", None)
     assert len(found.constraints_) == 2
     assert max(min(angle(c, free) for c in found.constraints_) for free in (DRAWER, other)) < 0.25
     assert all(any(words in w for w in found.report_.warnings) for words in ("differ by", "2 tasks"))
@@ -234,7 +194,7 @@ def test_two_setups_a_degree_apart_are_learnt_apart() -> None:
 def test_what_was_moved_between_recordings_is_learnt_as_it_stood_last() -> None:
     """A drawer that stood elsewhere in each recording; all recordings count as contacts with it."""
     stood = [turned(a).apply(DRAWER) for a in (-4.0, 3.0, -1.5, 5.0, 1.0, -2.5)]
-    found = learner_of("panda", recordings("panda", [along(free, 0.25, firm=False) for free in stood], 5))
+    found = fit("panda", recordings("panda", [along(free, 0.25, firm=False) for free in stood], 5), "xyz", None)
     assert len(found.constraints_) == 1 and found.constraint_.n_constraints == 2
     assert angle(found.constraint_, stood[-1]) < 0.3
     assert any("moved between recordings" in w and "demo_5" in w for w in found.report_.warnings)
@@ -244,7 +204,8 @@ def test_what_was_moved_between_recordings_is_learnt_as_it_stood_last() -> None:
 
 def test_an_arm_whose_zeros_are_off_sees_one_drawer() -> None:
     """By a degree, with encoders so fine that every posture shows another direction clearly."""
-    found = learner_of("xarm7", recordings("xarm7", [along(DRAWER, 0.2, firm=False)] * 8, 7, 2e-5, zeros=1.0))
+    demos = recordings("xarm7", [along(DRAWER, 0.2, firm=False)] * 8, 7, noise=2e-5, zeros=1.0)
+    found = fit("xarm7", demos, "xyz", None)
     assert len(found.constraints_) == 1 and found.constraint_.n_constraints == 2
     assert not any("moved" in w or "tasks" in w for w in found.report_.warnings)
 
@@ -257,7 +218,7 @@ def test_a_bent_rail_is_a_curve_and_no_ball() -> None:
         return pose[:3, 3] + np.hstack([0.3 * s, s, 0.05 * np.sin(s / 0.08)]), None
 
     demos = recordings("panda", [rail] * 6, 9)
-    found = learner_of("panda", demos)
+    found = fit("panda", demos, "xyz", None)
     constraint, mechanism = found.constraint_, found.report_.mechanism
     assert constraint.n_constraints == 2 and mechanism is not None and mechanism.name == "curve"
     assert "curve of" in found.report_.sentence and "rail" in found.report_.sentence
@@ -273,22 +234,10 @@ def test_a_wide_cylinder_is_no_plane() -> None:
         phi, up = wave(rng, np.array([0.14, 0.14])).T
         return pose[:3, 3] + np.column_stack([np.sin(phi), up, np.cos(phi) - 1.0]), None
 
-    found = learner_of("xarm7", recordings("xarm7", [side] * 6, 11))
+    found = fit("xarm7", recordings("xarm7", [side] * 6, 11), "xyz", None)
     mechanism = found.report_.mechanism
     assert found.constraint_.n_constraints == 1 and mechanism is not None and mechanism.name == "cylinder"
     assert mechanism.radius == pytest.approx(1.0, rel=0.05) and abs(mechanism.axis[1]) > 0.999
-
-
-# ---- whole recordings ---------------------------------------------------------------------------------------------
-
-
-def test_a_cut_recording_is_one_stretch():
-    """Recordings that hold nothing but the contact: one constraint, every recording as a whole, none of them odd."""
-    features, made, _ = moving("door", "xarm7", 2021, 8, whole=False)
-    learner = ml.ConstraintLearner(features).fit(made)
-    assert len(learner.constraints_) == 1 and not learner.report_.odd_trajectories
-    spans = [(p.trajectory, p.start, p.end, p.constraint) for p in learner.report_.phases]
-    assert spans == [(t.name, t.time[0], t.time[-1], 0) for t in made]
 
 
 def test_an_orientation_that_is_held_softly_is_learnt_with_its_axis():
@@ -302,3 +251,38 @@ def test_an_orientation_that_is_held_softly_is_learnt_with_its_axis():
     A, turns = learner.constraint_(q), ml.FrameJacobian(features.robot, truth["tip"], "rotation")(q)
     assert A.shape == (2, features.nv)
     np.testing.assert_allclose(A @ np.linalg.pinv(turns) @ mechanism.axis, 0.0, atol=1e-9)
+
+
+LEVEL = [0.0, -0.3, 0.0, -1.9, 0.0, 1.7, 0.6]
+
+
+# three sets for which the learner divided a part by its places, joined and divided it again for ever
+@pytest.mark.parametrize(
+    ("seed", "name", "middle", "moved"),
+    [
+        (84, "panda", LEVEL, 0.08),
+        pytest.param(6, "panda", LEVEL, 0.08, marks=pytest.mark.slow),
+        pytest.param(79, "xarm7", HANDS["xarm7"][1], None, marks=pytest.mark.slow),
+    ],
+)
+def test_a_fit_ends(seed: int, name: str, middle: list[float], moved: float | None) -> None:
+    """Six to twelve recordings of a hand on a plane that is moved each time, or on a screw: an answer or a refusal."""
+    rng, robot, frame, demos = np.random.default_rng([seed, 1]), arm(name), HANDS[name][0], []
+    for choices in (2, 8, 4, 4):  # these sets were once drawn with their robot, kind, radius and number of places
+        rng.choice(choices)
+    first = Rotation.from_rotvec(rng.normal(0.0, 0.3, 3))
+    rng.choice(3)
+    for _ in range(int(rng.choice([6, 8, 12]))):
+        angle = (moved or 0.0) * rng.normal()
+        turn = Rotation.from_rotvec([0.0, 0.6 * angle, 0.8 * angle]) * first
+        path = along(turn.apply([[1.0, 0.0, 0.1], [0.0, 1.0, 0.0]]), 0.2, firm=False)
+        if moved is None:
+            point = robot.position(np.array(middle), frame) + turn.apply([0.3, 0.0, 0.0])
+            path = about(turn.apply([0.0, 0.0, 1.0]), point, 0.6, pitch=0.03, firm=False)
+        noise = float(rng.choice([2e-5, 1e-4, 5e-4]))
+        demos += demonstrate(robot, frame, np.array(middle), path, rng, n=1, noise=noise)
+    maps = [ml.FrameJacobian(robot, frame, "xyz", reference) for reference in ("world", "local")]
+    try:
+        assert ml.ConstraintLearner(maps).fit(demos).reports_
+    except ml.ManipLearnError as refusal:
+        assert refusal.code

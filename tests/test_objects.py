@@ -6,7 +6,6 @@ import json
 from pathlib import Path
 
 import numpy as np
-import pinocchio as pin
 import pytest
 from case import case
 from numpy.testing import assert_allclose, assert_array_equal
@@ -44,26 +43,6 @@ def middle(robot: ml.Robot, rng: np.random.Generator) -> np.ndarray:
     return robot.configuration(0.5 * robot.positions(robot.random_configuration(rng)))
 
 
-def held_relative(
-    features: ml.RelativeFrameJacobian, free: np.ndarray, rng: np.random.Generator, n: int = 4
-) -> list[ml.Trajectory]:
-    """Motions whose relative twist lies in the columns of `free`, with everything else moving as it likes."""
-    robot, trajectories = features.robot, []
-    for k in range(n):
-        time = np.arange(200) * 0.015
-        push, slide = smooth(rng, time, robot.nv, 0.5), smooth(rng, time, free.shape[1], 0.3)
-        q = [middle(robot, rng)]
-        for i in range(len(time) - 1):
-            u = np.zeros(robot.nv)
-            for _ in range(2):  # the second time at the middle of the step
-                Phi = features(robot.integrate(q[i], 0.0075 * u))
-                u = push[i] + np.linalg.pinv(Phi) @ (free @ slide[i] - Phi @ push[i])
-            q.append(robot.integrate(q[i], 0.015 * u))
-        positions = np.array([robot.positions(row) for row in q])
-        trajectories.append(ml.Trajectory(time, positions, None, robot.joint_names, f"motion {k}"))
-    return trajectories
-
-
 def test_an_object_is_a_floating_joint_on_the_root_link(robot: ml.Robot) -> None:
     """Six more coordinates without limits, no tip; the pose of its frame is what the six numbers say. Empty, taken,
     repeated or reserved names are refused.
@@ -96,19 +75,6 @@ def test_a_constraint_knows_its_objects(robot: ml.Robot, tmp_path: Path) -> None
     for objects in ((), ("cup",), ("box", "cup")):
         with pytest.raises(ConstraintMismatchError):
             ml.Constraint.load(file, ml.load_robot("sawyer", objects=objects))
-
-
-def test_a_constant_twist_is_found_exactly(robot: ml.Robot) -> None:
-    """A screw motion pin.exp6(v t) has the LOCAL twist v throughout, also beyond half a turn."""
-    v, time, columns = np.array([0.1, -0.05, 0.2, 0.3, 1.2, -0.6]), np.arange(300) * 0.01, columns_of(robot)
-    start = pin.SE3(pin.exp3(np.array([0.3, 0.2, 0.1])), np.array([0.5, 0.1, 0.2]))
-    x = np.zeros((len(time), robot.nv))
-    for i, t in enumerate(time):
-        M = start * pin.exp6(pin.Motion(v * t))
-        x[i, columns] = np.concatenate([M.translation, pin.log3(M.rotation)])
-    derived = ml.derive_velocities(ml.Trajectory(time, x, None, robot.joint_names), robot)
-    assert derived.u is not None
-    assert_allclose(derived.u[:, columns], np.tile(v, (len(derived), 1)), atol=1e-4)
 
 
 def write(path: Path, names: list[str], columns: np.ndarray, time: np.ndarray) -> Path:
@@ -228,14 +194,15 @@ def test_a_mechanism_is_found_where_its_frame_sees_it(robot: ml.Robot, rows: str
 
 def test_command_line(robot: ml.Robot, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Learn relative to a recorded object, audit by it, inspect; the file names its objects, another one is refused."""
-    features, folder = ml.RelativeFrameJacobian(robot, TIP, "box", "pose"), tmp_path / "recordings"
+    folder = tmp_path / "recordings"
     folder.mkdir()
-    for i, t in enumerate(held_relative(features, np.eye(6)[:, [5]], np.random.default_rng(7))):
+    tether = ml.MechanismRows(robot, TIP, "spherical", point=(0.3, 0.1, 0.2), relative_to="box")
+    for i, t in enumerate(on_mechanism(tether, np.random.default_rng(7), 4)):
         write(folder / f"demo_{i}.csv", list(t.joint_names), t.q, t.time)
     file, box = str(tmp_path / "held.json"), ("--object", "box")
-    learn = ("learn", str(folder), *box, "--frame", TIP, "--relative-to", "box", "--axes", "pose")
+    learn = ("learn", str(folder), *box, "--frame", TIP, "--relative-to", "box", "--axes", "xyz")
     for (name, *words), key, value in (
-        ((*learn, "--estimator", "null-space", "--out", file), "n_constraints", 5),
+        ((*learn, "--estimator", "null-space", "--out", file), "n_constraints", 1),
         (("audit", file, str(folder)), "n_episodes", 4),
         (("inspect", *box), "nv", robot.nv),
         (("replay", str(folder / "demo_0.csv"), *box, "--html", str(tmp_path / "r.html")), None, None),

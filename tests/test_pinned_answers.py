@@ -14,7 +14,6 @@ import io
 import json
 import os
 import re
-import sys
 import tempfile
 from collections.abc import Callable, Iterator
 from dataclasses import is_dataclass
@@ -25,20 +24,16 @@ from unittest import mock
 
 import numpy as np
 import pytest
+from conftest import TIPS, named_robot
+from task_sets import DATA, generated, learnt
 
-HERE = Path(__file__).resolve().parent
-sys.path.insert(0, str(HERE))
+import manip_learn as ml
+from manip_learn.cli import main
+from manip_learn.experiments import paper_setup, sawyer
+from manip_learn.experiments.paper_setup import Setup
+from manip_learn.linalg import one_thread
 
-from conftest import TIPS, named_robot  # noqa: E402
-from task_sets import DATA, generated, learnt  # noqa: E402
-
-import manip_learn as ml  # noqa: E402
-from manip_learn.cli import main  # noqa: E402
-from manip_learn.experiments import paper_setup, sawyer  # noqa: E402
-from manip_learn.experiments.paper_setup import Setup  # noqa: E402
-from manip_learn.linalg import one_thread  # noqa: E402
-
-PINNED = HERE / "golden" / "pinned.json"
+PINNED = Path(__file__).resolve().parent / "golden" / "pinned.json"
 SMALL = 1e-6  # of the largest number of an array; below it, numbers are rounding
 # (answer and key, relative, absolute tolerance). Bootstraps over recordings whose contact ends at a threshold differ by
 # 3 % between processors

@@ -6,7 +6,6 @@ import ast
 import re
 import string
 import tomllib
-from collections.abc import Iterator
 from pathlib import Path
 
 from library_source import PACKAGE, library
@@ -15,16 +14,18 @@ from manip_learn import errors
 from manip_learn.commands.command_line import flags_of
 from manip_learn.commands.program import program
 from manip_learn.recordings.guards import template
+from manip_learn.robot.description.text import RULES
 
 # flags of other programs: of `ros2 topic pub` and `echo`, of the program that writes the planar arms, and of git
 FOREIGN = {"--once", "--name", "--no-optional-locks", "--always", "--abbrev", "--exclude", "--dirty", "--csv"}
 COMMAND_LINE = re.compile(r"`manip-learn ([a-z]+)([^`]*)`")
 PAGE = (Path(__file__).resolve().parents[1] / "docs" / "troubleshooting.md").read_text(encoding="utf-8")
-CODE = re.compile(r"[a-z][a-z0-9]*(-[a-z0-9]+)*")
-# functions that make errors; one of their first arguments is the code
-MAKERS = ("refusal", "_refusal", "refused", "NamingError", "_header_error", "MergeError", "refuse")
-# tables of codes: (what it looks like, code, sentence)
-TABLES = ("REFUSED_MAGIC",)
+# codes in the source: by name, or as an argument of a function that makes errors, for a key up to its dot
+NAMED = re.compile(r'\bcode(?:: str)? ?= ?\(?\s*f?"([a-z0-9*-]+)"(?:\s+if [^=]*? else "([a-z0-9-]+)")?')
+MADE = re.compile(
+    r'\b(?:_?refusal|refused|NamingError|_header_error|MergeError|refuse)\((?:[^()"]|\([^()]*\)|"[^"]* [^"]*")*?'
+    r'f?"([a-z][a-z0-9*-]*)[".]'
+)
 SAYS = {"refusal", "_refusal", "refused", "sentence", "note", "NamingError", "template"}
 PLACE = {"sample", "line", "column", "where", "path", "in_full", "text"}  # arguments that are no figures
 
@@ -56,27 +57,6 @@ def test_commands_share_their_options():
     assert all("--json" in own for own in sets.values())
 
 
-def codes(tree: ast.Module) -> Iterator[str]:
-    """Codes in a file: given by name, to a function that makes errors, as a class's own, or in a table."""
-    for node in ast.walk(tree):
-        if isinstance(node, ast.Call):
-            yield from (text(part) for k in node.keywords if k.arg == "code" for part in values(k.value))
-            if ast.unparse(node.func).split(".")[-1] in MAKERS:
-                said = [text(v).partition(".")[0] for a in node.args[:4] for v in values(a)]  # of a key, its code
-                yield next((s for s in said if s and CODE.fullmatch(s.replace("*", "x"))), "")
-        elif isinstance(node, ast.Assign | ast.AnnAssign):
-            target = ast.unparse(node.targets[0] if isinstance(node, ast.Assign) else node.target)
-            if target == "code" and node.value is not None:
-                yield from map(text, values(node.value))
-            if target == "RULES" and isinstance(node.value, ast.Dict):  # code: sentence
-                yield from (text(key).partition(".")[0] for key in node.value.keys if key is not None)
-            if target in TABLES and isinstance(node.value, ast.Tuple):
-                yield from (text(row.elts[1]) for row in node.value.elts if isinstance(row, ast.Tuple))
-        elif isinstance(node, ast.FunctionDef):
-            pairs = zip(node.args.kwonlyargs, node.args.kw_defaults, strict=True)
-            yield from (text(value) for argument, value in pairs if argument.arg == "code" and value is not None)
-
-
 def values(node: ast.expr) -> list[ast.expr]:
     """Both values of a choice, or the one that there is."""
     return [node.body, node.orelse] if isinstance(node, ast.IfExp) else [node]
@@ -92,12 +72,14 @@ def text(node: ast.AST) -> str:
 def test_each_code_has_its_entry_and_each_entry_its_code() -> None:
     """Both ways; and whatever is raised on purpose has a code, from its class or from where it is raised."""
     entries = re.findall(r"^\| `([^`]+)` \|", PAGE, re.MULTILINE)
-    in_source = {code for source in library() for code in codes(source.tree) if CODE.fullmatch(code.replace("*", "x"))}
+    texts = "\n".join(source.text for source in library())
+    calls = re.sub(r"\{[^{}]*\}", "*", texts)  # parts of f-strings that are not constant
+    in_source = {code for pair in NAMED.findall(calls) for code in pair if code} | {*MADE.findall(calls)}
+    in_source |= {rule.partition(".")[0] for rule in RULES}
     assert len(in_source) > 150
     patterns = [re.compile(re.escape(code).replace(r"\*", "[a-z]+")) for code in in_source]
     missing = sorted(p.pattern for p in patterns if not any(p.fullmatch(e) for e in entries))
-    # a code may be made elsewhere and passed on: then it stands in the source as a text
-    texts = "\n".join(source.text for source in library())
+    # a code may be made elsewhere and passed on: then the source contains it as a string
     surplus = [e for e in entries if not any(p.fullmatch(e) for p in patterns) and f'"{e}"' not in texts]
     assert (missing, surplus) == ([], [])
     samples = {"UnknownNameError": ("frame", "a", ["b"]), "NumberOfConstraintsError": (9, 3, "rows")}
@@ -115,11 +97,10 @@ def test_every_sentence_about_recordings_is_said_with_its_figures() -> None:
     texts, said = "\n".join(source.text for source in room), set[str]()
     for call in (n for source in room for n in ast.walk(source.tree) if isinstance(n, ast.Call)):
         name = call.func.attr if isinstance(call.func, ast.Attribute) else getattr(call.func, "id", "")
-        keys = [text(a) for a in call.args[:2] if not isinstance(a, ast.JoinedStr | ast.IfExp)]
-        keys = [k for k in keys if k] + [text(b) for a in call.args[:2] if isinstance(a, ast.IfExp) for b in values(a)]
+        keys = [key for a in call.args[:2] for v in values(a) if (key := text(v)) and "*" not in key]
         if name not in SAYS or not keys or len(call.args) > 2 or (len(call.args) == 2 and text(call.args[0]) in keys):
             continue
-        for key in filter(None, keys):
+        for key in keys:
             needed = {field for _, field, _, _ in string.Formatter().parse(template(key)) if field is not None}
             given = {k.arg for k in call.keywords}
             said.add(key)

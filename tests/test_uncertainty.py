@@ -5,6 +5,7 @@ too; places are those of the largest likelihood.
 from __future__ import annotations
 
 import json
+from collections import defaultdict
 from dataclasses import replace
 
 import numpy as np
@@ -36,12 +37,6 @@ def noisy(seed: int, offset: float):
     return *guided_motions(arm_features(), oblique(2, 3, rng), rng, 10, 12, 0.05, noise=0.02), np.zeros(7)
 
 
-def reaching(seed: int, offset: float):
-    """The paper's arm."""
-    rows = list(PLANAR_ROWS.values())[seed % 3]
-    return *paper_motions(rows, np.random.default_rng(seed), n_trajectories=40, noise=0.01), np.zeros(3)
-
-
 def learnt(demos, truth, **settings):
     """Two held rows of cut recordings."""
     given = {"estimator": "null-space", "phases": "off", "mechanism": "off"} | settings
@@ -53,12 +48,8 @@ def learnt(demos, truth, **settings):
     [
         (held, 0.1, range(20), 1.0, {"links": 0.0}),
         (noisy, 0.0, range(7000, 7024), 0.85, {}),
-        pytest.param(
-            reaching, 0.0, range(7000, 7024), 0.85, {"estimator": "joint", "policy_model": "affine"},
-            marks=pytest.mark.slow,
-        ),
     ],
-)  # fmt: skip
+)
 def test_the_error_is_within_what_is_stated(make, zeros: float, seeds: range, most: float, settings):
     """Zeros off by what the learner was told: angle and mu are within what is stated in one of two of 20 sets at least,
     within twice that in nine of ten, and not by stating everything: the median is no less than a fifth of it. Of noise
@@ -129,14 +120,6 @@ def test_links_change_the_rates_of_rows(make, rng):
     assert link_error_changes(own, np.ones((2, 3)), np.ones((2, 3))).shape == (2, 3, 0)
 
 
-def fitted(demos, features: ml.FeatureMap, s: int = 2) -> tuple[View, RowFit]:
-    """Rows by positions."""
-    view = View(features, Table(list(demos)))
-    whole = [Stretch(i, *map(float, ends)) for i, ends in enumerate(view.table.ends)]
-    motion = Motion.of(view, whole, Settings())
-    return view, RowFit(motion, orthonormal_rows(motion.levels.directions[:s])).best()
-
-
 def test_the_report_states_the_parts():
     """The total is the root of the sum of squares; what does not apply is None, as all is of one trajectory; words,
     JSON and the file say it. With the policy integrated out, and no joint zeros, which the joint estimator leaves out
@@ -154,7 +137,7 @@ def test_the_report_states_the_parts():
     assert "not included: a base that stands turned" in said
     assert report.mu_uncertainty is not None and 0.0 < report.mu_uncertainty < 0.1 and ", mu to 0." in said
     assert written["mu_uncertainty"] == report.mu_uncertainty
-    demos, truth, _ = reaching(4, 0.0)
+    demos, truth = paper_motions(PLANAR_ROWS["x-theta"], np.random.default_rng(4), n_trajectories=40, noise=0.01)
     joint = ml.ConstraintLearner(truth.features, 2, "joint").fit(demos).report_
     assert [part for part in PARTS if joint.uncertainty[part] is None] == [JOINT_ZEROS]
     assert "not included: joint zeros that are off and a base that stands turned" in joint.known_to()
@@ -171,59 +154,45 @@ AXIS = np.array([0.2, -0.3, 0.93]) / np.linalg.norm([0.2, -0.3, 0.93])
 POINT = np.array([0.55, 0.25, 0.35])
 MIDDLE = np.array([0.2, -0.4, 0.1, -2.0, 0.1, 1.7, 0.8])
 TIP = "panda_hand_tcp"
-KINDS = {  # path, form of the rows, their number
-    "hinge": (about(AXIS, POINT, 0.7, firm=False), "point", 2),
-    "screw, firm": (about(AXIS, POINT, 0.8, pitch=0.04), "twist", 5),
-}
 SETS, WHITE = 60, 1e-3
 
 
-def place_of(robot: ml.Robot, kind: str, postures: list[np.ndarray]) -> tuple[RowFit, ml.Mechanism]:
-    """The fit by positions, and the mechanism at its place with what is stated."""
-    _, form, s = KINDS[kind]
-    time = 0.02 * np.arange(len(postures[0]))
-    demos = [ml.derive_velocities(ml.Trajectory(time, q, None, robot.joint_names), robot) for q in postures]
-    _, fit = fitted(demos, PlaceRows(robot, TIP, form, robot.position(MIDDLE, TIP)), s)
-    found = locate(fit, draw_errors(fit, ArmErrors(), np.random.default_rng(0)))
-    assert found is not None and found.kind.name == kind
-    return fit, found.mechanism
-
-
-def errors(m: ml.Mechanism, radius: float) -> dict[str, tuple[float, float]]:
-    """Error and what is stated, by parameter."""
-    out = {
-        "axis": (np.degrees(np.linalg.norm(np.cross(AXIS, m.axis))), m.uncertainty["axis"]),
-        "point": (np.linalg.norm(np.cross(AXIS, m.point - POINT)), m.uncertainty["point"]),
-    }
-    if m.grip != "firm":
-        out["radius"] = abs(m.radius - radius), m.uncertainty["radius"]
-    if m.pitch is not None:
-        out["pitch"] = abs(m.pitch - 0.04), m.uncertainty["pitch"]
-    return out
-
-
-def exact_postures(robot: ml.Robot, kind: str) -> list[np.ndarray]:
-    """Of five motions without noise."""
-    return [t.q for t in demonstrate(robot, TIP, MIDDLE, KINDS[kind][0], np.random.default_rng(3), noise=0.0)]
-
-
-@pytest.mark.parametrize(("kind", "smoothed"), [("screw, firm", False), ("hinge", True)])
-def test_what_is_stated_holds_in_two_cases_of_three(robot_of, kind, smoothed):
+@pytest.mark.parametrize(
+    ("kind", "path", "form", "s", "smoothed"),
+    [
+        ("screw, firm", about(AXIS, POINT, 0.8, pitch=0.04), "twist", 5, False),
+        ("hinge", about(AXIS, POINT, 0.7, firm=False), "point", 2, True),
+    ],
+    ids=["screw", "hinge"],
+)
+def test_what_is_stated_holds_in_two_cases_of_three(robot_of, kind, path, form, s, smoothed):
     """Over 60 draws of the encoders' noise, white or shared by neighbours, each parameter is within what is stated in
     52 to 88 % of them (70 % and three standard errors), and its median error is no less than a third of that; the
     variance of the noise is told to 5 %.
     """
-    robot = robot_of("panda")
-    exact, rng, inside, variances = exact_postures(robot, kind), np.random.default_rng(11), {}, []
-    radius = float(np.linalg.norm(np.cross(AXIS, robot.position(exact[0][0], TIP) - POINT)))
+    robot, rng, inside, variances = robot_of("panda"), np.random.default_rng(11), defaultdict[str, list](list), []
+    exact = [t.q for t in demonstrate(robot, TIP, MIDDLE, path, np.random.default_rng(3), noise=0.0)]
+    features = PlaceRows(robot, TIP, form, robot.position(MIDDLE, TIP))
+    time, radius = 0.02 * np.arange(len(exact[0])), np.linalg.norm(np.cross(AXIS, features.middle - POINT))
     for _ in range(SETS):
         noise = [rng.normal(0.0, WHITE, q.shape) for q in exact]
         if smoothed:
             noise = [np.apply_along_axis(np.convolve, 0, e, np.full(5, 0.2), "same") for e in noise]
-        fit, m = place_of(robot, kind, [q + e for q, e in zip(exact, noise, strict=True)])
+        given = (ml.Trajectory(time, q + e, None, robot.joint_names) for q, e in zip(exact, noise, strict=True))
+        view = View(features, Table([ml.derive_velocities(t, robot) for t in given]))
+        motion = Motion.of(view, [Stretch(i, *map(float, x)) for i, x in enumerate(view.table.ends)], Settings())
+        fit = RowFit(motion, orthonormal_rows(motion.levels.directions[:s])).best()
+        found = locate(fit, draw_errors(fit, ArmErrors(), np.random.default_rng(0)))
+        assert found is not None and found.kind.name == kind
+        m = found.mechanism
         variances.append(fit.variance)
-        for name, (error, stated) in errors(m, radius).items():
-            inside.setdefault(name, []).append(error / stated)
+        errors = {
+            "axis": np.degrees(np.linalg.norm(np.cross(AXIS, m.axis))),
+            "point": np.linalg.norm(np.cross(AXIS, m.point - POINT)),
+            **({"pitch": abs(m.pitch - 0.04)} if m.grip == "firm" else {"radius": abs(m.radius - radius)}),
+        }
+        for name, error in errors.items():
+            inside[name].append(error / m.uncertainty[name])
     assert smoothed or np.mean(variances) == pytest.approx(WHITE**2, rel=0.05)
     for name, ratios in inside.items():
         assert 0.52 <= np.mean(np.array(ratios) <= 1.0) <= 0.88, name

@@ -138,11 +138,12 @@ def test_free_motion_is_no_constraint(kind: str):
         pytest.param("door", "ur5", 606, False, id="short arcs among long ones"),
         pytest.param("door", "xarm7", 601, True, id="a piece of the arc that is a line of its own"),
         pytest.param("drawer", "ur5", 7002, True, id="slips so large that the evidence of all eight drowns in them"),
+        pytest.param("drawer", "xarm7", 1201, True, id="a slip that the phases cut out"),
     ],
 )
 def test_a_slip_is_named_and_nothing_else(thing: str, robot: str, seed: int, whole: bool):
-    """The hand slips in some of eight recordings: these are named, and the others show the hinge of the door to a
-    millimetre, the line of the drawer to 0.02 degrees.
+    """The hand slips in some of eight recordings: these are named, some with the moment, and the others show the hinge
+    of the door to a millimetre, the line of the drawer to 0.02 degrees.
     """
     truth, demos = generated(f"{thing}_slip", robot, seed, 8, whole)
     learner = learnt(robot, truth["tip"], demos)
@@ -151,38 +152,10 @@ def test_a_slip_is_named_and_nothing_else(thing: str, robot: str, seed: int, who
         assert away_from_axis(learner.report_, truth["mechanisms"][0]) < 1e-3
     else:
         assert degrees(learner.constraint_, truth) < 0.02
-
-
-@pytest.mark.timeout(120)
-def test_a_slip_that_the_phases_cut_out_is_named():
-    """The answer is right without the slip, and the recording is named with its moment."""
-    truth, demos = generated("drawer_slip", "xarm7", 1201, 8, whole=True)
-    report = learnt("xarm7", truth["tip"], demos).report_
-    assert named(report) == {f"demo_{i}" for i in truth["contaminated"]}
-    for odd, number in zip(report.odd_trajectories, truth["contaminated"], strict=True):
+    for odd, number in zip(learner.report_.odd_trajectories, truth["contaminated"], strict=True):
         (_, before, _), (after, _, _) = truth["windows"][number]
         said = re.search(r"(?:at|interrupted from) (\d+\.\d+) s", odd.reason)
-        assert said is not None and before - 0.3 < float(said[1]) < after + 0.1
-
-
-def test_a_door_that_hardly_turns_is_answered_with_the_width_of_what_is_not_known():
-    """Turned by five degrees, a door is a hinge whose place is known to centimetres, and the report says how far to
-    turn it.
-    """
-    truth, demos = generated("door", "xarm7", 1100, 6, whole=False)
-    robot, (true,) = arm("xarm7"), truth["mechanisms"]
-    tip, axis, point = robot.frame(truth["tip"]), np.array(true["axis"]), np.array(true["point"])
-    short = []
-    for t in demos:
-        arms = np.array([robot.pose(q, tip)[:3, 3] for q in t.q]) - point
-        across = arms - np.outer(arms @ axis, axis)
-        turned = np.arctan2(np.cross(across[0], across) @ axis, across @ across[0])
-        short.append(t.part(slice(0, int(np.argmax(np.abs(turned) > np.radians(5.0))))))
-    report = ml.ConstraintLearner(ml.FrameJacobian(robot, tip, "xyz")).fit(short).report_
-    hinge = report.mechanism
-    assert hinge is not None and hinge.type == "hinge" and report.n_constraints == 2 and hinge.radius is not None
-    assert abs(hinge.radius - true["radius"]) < 3.0 * hinge.uncertainty["radius"]
-    assert any("move it by at least" in warning for warning in report.warnings)
+        assert seed != 1201 or (said is not None and before - 0.3 < float(said[1]) < after + 0.1)
 
 
 def test_phases_can_be_turned_off():
@@ -223,24 +196,19 @@ def test_tasks_in_equal_parts_are_not_pooled(robot: str, sets: list):
 
 
 @pytest.mark.parametrize(
-    ("kind", "robot", "seed", "whole", "axes", "mechanism", "rows"),
+    ("kind", "robot", "seed", "whole", "mechanism", "rows"),
     [
-        pytest.param("door", "panda", 2031, True, "xyz", "hinge", ("radial", "axial"),
+        pytest.param("door", "panda", 2031, True, "hinge", ("radial", "axial"),
              id="the phases show one constant row of a door, along the axis"),
-        pytest.param("hinge", "xarm7", 2001, False, "pose", "hinge", 5, id="a firm lever has no constant rows beside"),
-        pytest.param("tether", "sawyer", 1007, False, "xyz", "ball", ("spherical",),
+        pytest.param("tether", "sawyer", 1007, False, "ball", ("spherical",),
              id="the gap shows two weak constant rows that nothing holds"),
     ],
 )  # fmt: skip
-def test_rows_and_mechanism_do_not_contradict_each_other(kind, robot, seed, whole, axes, mechanism, rows):
+def test_rows_and_mechanism_do_not_contradict_each_other(kind, robot, seed, whole, mechanism, rows):
     """All rows of the mechanism are held, none of the world's axes beside them."""
     _, trajectories, truth = moving(kind, robot, seed, 6, whole)
-    learner = learnt(robot, truth["tip"], trajectories, axes)
+    learner = learnt(robot, truth["tip"], trajectories)
     report = learner.report_
     assert report.mechanism is not None and report.mechanism.type == mechanism
-    if isinstance(rows, int):
-        assert learner.constraint_.n_constraints == rows
-        assert report.reference != "world" or not report.sentence.startswith("The tip can move along")
-    else:
-        assert learner.constraint_.features.row_names == rows
+    assert learner.constraint_.features.row_names == rows
     assert not whole or not any("asked for" in warning for warning in report.warnings)

@@ -21,7 +21,7 @@ import nbformat
 import numpy as np
 from nbclient import NotebookClient
 from own_arm import NAMES, write_package
-from recordings import FREE, motions, write_bag, write_numbered, write_plotjuggler
+from recordings import FREE, motions, write_bag
 
 import manip_learn as ml
 
@@ -53,15 +53,6 @@ class Hour:
         self.note(title + advised, wrong)
         return done.stdout
 
-    def refused(self, title: str, *arguments: str, words: str) -> None:
-        """A mistake that a user makes: one short message that says what helps."""
-        done = self._run(arguments)
-        said = done.stderr.strip()
-        wrong = "" if done.returncode == 2 and re.search(words, said) else f"exit {done.returncode}: {said[-600:]}"
-        if "Traceback" in said or len(said) > 1200:
-            wrong = f"too long, or a traceback: {said[-600:]}"
-        self.note(f"{title} (to be refused)", wrong)
-
     def note(self, title: str, wrong: str) -> None:
         print(f"{'DEAD END' if wrong else 'ok':9s}{title}", flush=True)
         if wrong:
@@ -88,15 +79,6 @@ def six_joints(out: str) -> str:
     return "" if names == NAMES else f"the joints are {names}"
 
 
-def look_around(hour: Hour) -> None:
-    hour.type("the version", "--version", check=lambda out: "" if re.match(r"[a-z_-]* ?\d+\.\d+", out) else out)
-    hour.type("the names of robots", "robots", check=lambda out: "" if "sawyer" in out else out)
-    hour.type("the help", "--help")
-    hour.type("the demo", "demo", "--no-browser", "--out", "demo")
-    page = hour.folder / "demo" / "replay.html"
-    hour.note("the demo's replay", "" if page.is_file() and page.stat().st_size > 100_000 else "there is no page")
-
-
 def describe_the_arm(hour: Hour, urdf: str) -> None:
     found = hour.type("own URDF with package meshes", "inspect", urdf, "--json", check=six_joints)
     warnings = json.loads(found)["warnings"] if found else []
@@ -107,12 +89,10 @@ def describe_the_arm(hour: Hour, urdf: str) -> None:
 
 
 def learn_from_files(hour: Hour, urdf: str) -> None:
-    demos = motions(ml.load_robot(urdf))
-    for title, write in (("bags", write_bag), ("PlotJuggler", write_plotjuggler), ("numbered", write_numbered)):
-        (hour.folder / title).mkdir()
-        for i, demo in enumerate(demos):
-            write(hour.folder / title / f"demo_{i}.csv", demo)
-        hour.type(f"learn from {title}", "learn", urdf, title, *FRAME, "--json", check=learns_the_line)
+    (hour.folder / "bags").mkdir()
+    for i, demo in enumerate(motions(ml.load_robot(urdf))):
+        write_bag(hour.folder / "bags" / f"demo_{i}", demo)
+    hour.type("learn from bags", "learn", urdf, "bags", *FRAME, "--json", check=learns_the_line)
     hour.type("bags to LeRobot data", "export", urdf, "bags", "--to", "lerobot", "--out", "lerobot")
     hour.type("learn from LeRobot data", "learn", urdf, "lerobot", *FRAME, "--json", check=learns_the_line)
     out = ("--out", "line.json", "--html", "recordings.html")
@@ -139,18 +119,6 @@ def control_and_replay(hour: Hour, urdf: str) -> None:
     for page in ("recordings.html", "run.html", "bags.html"):
         hour.note(f"{page} is there", "" if (hour.folder / page).is_file() else "it was not written")
     hour.type("audit", "audit", urdf, "line.json", "bags")
-
-
-def make_mistakes(hour: Hour, urdf: str) -> None:
-    for title, words, *typed in (
-        ("a frame with a typing error", "tool0", "learn", urdf, "bags", "--frame", "tool"),
-        ("a folder that is not there", "bgas", "learn", urdf, "bgas", *FRAME),
-        ("another robot's constraint", "my_arm", "control", "sawyer", "line.json"),
-        ("a turn of a line", "--along", "control", urdf, "line.json", "--turn", "30"),
-        ("a way that is too long", "longer than the demonstrations", "control", urdf, "line.json", "--along", "9"),
-        ("a robot that does not exist", "sawyer", "inspect", "sayer"),
-    ):
-        hour.refused(title, *typed, words=words)
 
 
 def work_in_a_notebook(hour: Hour, urdf: str) -> None:
@@ -180,8 +148,7 @@ def main() -> int:
     hour = Hour(Path(sys.argv[1]).resolve())
     hour.folder.mkdir(parents=True, exist_ok=True)
     urdf = str(write_package(hour.folder))
-    look_around(hour)
-    for part in (describe_the_arm, learn_from_files, control_and_replay, make_mistakes, work_in_a_notebook):
+    for part in (describe_the_arm, learn_from_files, control_and_replay, work_in_a_notebook):
         part(hour, urdf)
     print(f"{len(hour.dead_ends)} dead ends")
     return int(bool(hour.dead_ends))

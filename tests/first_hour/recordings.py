@@ -1,4 +1,4 @@
-"""Motions of the arm along a line that its hand was held on, in the files that other programs write."""
+"""Motions of the arm along a line that its hand was held on, in the bags that ROS 2 writes."""
 
 from __future__ import annotations
 
@@ -29,33 +29,16 @@ def motions(robot: ml.Robot, count: int = 6) -> list[ml.Trajectory]:
     return found
 
 
-def write_plotjuggler(path: Path, demo: ml.Trajectory) -> None:
-    """CSV export of PlotJuggler: time of day, one column per field of the topic, velocities and efforts too."""
-    fields = [f"/joint_states/{n}/{field}" for field in ("position", "velocity", "effort") for n in demo.joint_names]
-    velocities = np.gradient(demo.q, demo.time, axis=0)
-    _write(path, ["__time", *fields], EPOCH + demo.time, demo.q, velocities, 0.1 * demo.q)
-
-
-def write_numbered(path: Path, demo: ml.Trajectory) -> None:
-    """Log of a controller of one's own: t, q[0] ..., dq[0] ..."""
-    header = ["t", *(f"{letters}[{j}]" for letters in ("q", "dq") for j in range(demo.q.shape[1]))]
-    _write(path, header, demo.time, demo.q, np.gradient(demo.q, demo.time, axis=0))
-
-
 def write_bag(path: Path, demo: ml.Trajectory) -> None:
     """ROS 2 bag (MCAP) of /joint_states, joints in another order than the robot's."""
     types = get_typestore(Stores.ROS2_JAZZY)
     kind = "sensor_msgs/msg/JointState"
     header, stamp = types.types["std_msgs/msg/Header"], types.types["builtin_interfaces/msg/Time"]
     names, none = list(demo.joint_names)[::-1], np.zeros(0)
-    with Writer(path.with_suffix(""), version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+    with Writer(path, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
         connection = writer.add_connection("/joint_states", kind, typestore=types)
         for t, q in zip(demo.time, demo.q, strict=True):
             nanoseconds = int((EPOCH + t) * 1e9)
             at = header(stamp=stamp(*divmod(nanoseconds, 10**9)), frame_id="base_link")
             message = types.types[kind](at, names, q[::-1].copy(), none, none)
             writer.write(connection, nanoseconds, types.serialize_cdr(message, kind))
-
-
-def _write(path: Path, header: list[str], *parts: np.ndarray) -> None:
-    np.savetxt(path, np.column_stack(parts), "%.17g", ",", header=",".join(header), comments="")
