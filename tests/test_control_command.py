@@ -126,36 +126,6 @@ def test_nothing_named_does_what_was_shown(run, shown, tmp_path):
     assert data_in(page)["rollouts"] and str(page.name) in out
 
 
-@pytest.mark.parametrize(
-    ("robot", "recordings", "options"),
-    [
-        # on purpose, to different targets
-        ("planar3", "planar3_reach", ("--frame", "tip", "--axes", "planar", "--velocities", "recorded")),
-        ("sawyer", "sawyer_door", ("--frame", "right_gripper_tip")),  # in the hand's own axes, which do not say how far
-        pytest.param("xarm7", "xarm7_drawer_then_table", ("--frame", "link_eef"), marks=pytest.mark.slow),  # two tasks
-    ],
-)
-def test_the_line_to_type_next_works(run, robot, recordings, options):
-    """What `learn` says last is done, word by word."""
-    code, out, _err = run("learn", robot, shipped_recordings() / recordings, *options, "--out", "task.json")
-    assert code == 0
-    code, out, err = run(*out.split("next: manip-learn ")[1].split())
-    assert code == 0, err
-    done = ("at the target", "moved 0.100 of 0.100 m", "opened 10.0 of 10.0 degrees", "2 ways done as shown")
-    assert any(words in out for words in done)
-
-
-def test_a_hand_whose_joint_meets_its_limit_stays_on_the_line(run, shown):
-    """It stands within 2 mm of what holds it, and a sentence says what stops it."""
-    start = "0.0689,-1.6728,2.8072,-1.9042,2.4714,-0.0381,4.6725"
-    way = ("--along", "0.3", "--direction=-1,-0.5,0", "--keep-orientation", "--start", start)
-    for policy in ("zero", "manipulability"):
-        code, out, _err = run("control", "sawyer", shown, *way, f"--policy={policy}", "--json")
-        answer = json.loads(out)
-        assert code == 0 and answer["deviation"] <= 2e-3
-        assert answer["reached"] or answer["stopped_by"]
-
-
 def test_the_demo_shows_the_difference(run):
     """From one start: as far as was shown with what was learnt, at most a third as far without; side by side. Of the
     small robot too; or all the policies that its help names.

@@ -112,16 +112,6 @@ def test_bad_input_is_refused(planar):
             ml.ResolvedRateController(planar, *wrong)(np.ones(3))
 
 
-@pytest.mark.parametrize("velocity", ["fast", [1.0], [np.nan, 0.0, 0.0], None])
-def test_the_velocity_of_ones_own_controller_is_checked(velocity, planar):
-    """What is no finite number per joint is refused by `step`, in a sentence; `update` brakes."""
-    law = ml.ResolvedRateController(planar, ml.PointAttractor([1.0, 1.0]))
-    loop = ml.ServoLoop(lambda q, t, dt: law(q, t, dt)._replace(velocity=velocity), dt=0.01, robot=planar.robot)
-    with pytest.raises(ConfigurationError, match="not 3 finite numbers"):
-        loop.step(np.ones(3), 0.0)
-    assert np.all(loop.update(np.ones(3), 0.01).velocity == 0.0)
-
-
 def test_features_without_a_robot():
     """A system that is no arm: no limits, the bare law, and NaN is refused all the same."""
     features = CustomFeatures(lambda q: np.array([[1.0, q[0], 0.0]]), ("r",), 3, coordinates=lambda q: q[:1])

@@ -27,27 +27,6 @@ def sawyer(robot_of):
 # ---- joints ----
 
 
-@pytest.mark.parametrize(("name", "dt"), list(product(("sawyer", "gantry", "kinova"), (1e-4, 1e-3, 0.01, 0.05))))
-def test_greedy_motion_keeps_every_limit(name, dt, robot_of, rng):
-    """A joint that always takes an extreme of its bounds meets no limit of position, velocity or acceleration."""
-    robot = robot_of(name)
-    limits = ml.Limits(robot)
-    low = np.where(np.isfinite(robot.position_lower), robot.position_lower, -3.0)
-    high = np.where(np.isfinite(robot.position_upper), robot.position_upper, 3.0)
-    q, u = rng.uniform(low, high), np.zeros(robot.nv)
-    for step in range(600):
-        if step % 100 == 0:
-            sense = rng.choice([-1.0, 1.0], robot.nv)
-        bounds = limits.bounds(q, dt, u)
-        lowest, highest = np.array(bounds.low), np.array(bounds.high)
-        assert np.all(lowest <= highest)
-        following = np.where(sense > 0.0, highest, lowest)
-        assert np.all(np.abs(following - u) <= limits.acceleration * dt * (1.0 + 1e-12))
-        assert np.all(np.abs(following) <= limits.velocity * (1.0 + 1e-12))
-        q, u = q + dt * following, following
-        assert np.all(q <= robot.position_upper + 1e-12) and np.all(q >= robot.position_lower - 1e-12)
-
-
 def braking(d: float, v: float, a: float, dt: float) -> float:
     """brake(d) of `Limits`' docstring: half of the deceleration, 20 per second, a quarter of the speed outside."""
     a, kappa = 0.5 * a, min(20.0, 0.5 / dt)

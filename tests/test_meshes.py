@@ -215,24 +215,6 @@ def test_each_part_of_a_mesh_has_its_colour(tmp_path):
             assert parts == {c: [x for x in places if colours[x] == c] for c in set(colours.values())}
 
 
-def test_colours_in_an_obj_file_and_too_many(tmp_path):
-    """Colours of vertices are in the file itself; a material of another file is not opened. Of more colours than can be
-    drawn one by one a mesh has none.
-    """
-    path = write(tmp_path / "a.obj", b"mtllib b.mtl\nusemtl m\nv 0 0 0 1 0 0\nv 1 0 0 1 0 0\nv 0 1 0 1 0 0\nf 1 2 3\n")
-    os.mkfifo(tmp_path / "b.mtl")  # would hang
-    np.testing.assert_array_equal(read_meshes([path])[path].colours, [(1.0, 0.0, 0.0, 1.0)])
-    path.write_bytes(b"mtllib b.mtl\nusemtl m\nv 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 0 1\nf 1/1 2/2 3/3\n")
-    assert read_meshes([path])[path].colours is None
-    text = painted("<color>1 0 0</color>", 0).decode()
-    library = "".join(PAINTED.format(n, f"<color>0 {n / 99} 0</color>") for n in range(3, 99))
-    nodes = "".join(BOUND.format(n, n) for n in range(3, 99))
-    path = write(tmp_path / "a.dae", text.replace("<library_geometries>", library + "<library_geometries>").encode())
-    path.write_text(path.read_text().replace("</visual_scene>", f"{nodes}</visual_scene>"), encoding="utf-8")
-    mesh = read_meshes([path])[path]
-    assert len(mesh.faces) == 97 and mesh.colours is None
-
-
 def test_too_large_files_and_pipes_are_not_read(tmp_path):
     """The cap is on the size of the file, before reading; a pipe does not hang."""
     with (large := tmp_path / "a.stl").open("wb") as file:
@@ -321,10 +303,3 @@ def test_what_cannot_be_drawn_has_a_fault(geometry, words, tmp_path):
     if "gone" in visual:
         found, missing = resolve_meshes(robot)
         assert list(missing) == ["package://gone/a.stl"] and not found
-
-
-def test_a_robot_without_visuals_has_its_links(tmp_path):
-    """Each with the joint that carries it, and the reason why nothing is drawn."""
-    visuals = visual_shapes(arm_with(tmp_path, ""))
-    assert {v.link: v.joint for v in visuals} == {"base": 0, "upper": 1, "tip": 2}
-    assert all(v.shape is None and v.fault == "the robot has no visuals" for v in visuals)

@@ -159,23 +159,6 @@ def test_what_became_of_a_way_in_numbers_and_words(robot_of) -> None:
         assert leads_away(np.array([0.6, 0.0, 0.9]), np.array(way)) is away
 
 
-def test_a_line_does_not_turn_and_a_hinge_does_not_slide() -> None:
-    """The refusal says what was learnt and which argument fits; so do a way that is missing and one too many."""
-    for name, error, words, way in (
-        (
-            "drawer",
-            ConstraintError,
-            r"slides and does not turn \(a line along .*\): use distance= \[m\]",
-            {"turn": 1.0},
-        ),
-        ("door", ConstraintError, r"turns and does not slide \(a hinge: .*\): use angle= \[rad\]", {"along": 0.1}),
-        ("table", ConstraintError, "2 directions free .*direction=", {"along": 0.1}),
-        ("drawer", TargetError, "one distance or angle", {"along": 0.1, "turn": 0.2}),
-    ):
-        with pytest.raises(error, match=words):
-            ml.motion(learnt(name)[0], **way)
-
-
 def test_of_rows_of_a_pose_the_translations_are_meant() -> None:
     """A drawer learnt from poses leaves a translation and three rotations free: `along` needs no direction there."""
     robot = arm("panda")

@@ -57,17 +57,6 @@ def test_guided_motions_pass_without_a_word(sawyer: Robot, rng: np.random.Genera
     assert load(sawyer, tmp_path, time, q, u).notes == ()
 
 
-def test_degrees_are_always_caught(sawyer: Robot, rng: np.random.Generator, tmp_path: Path) -> None:
-    """By the limits, without velocities; with the way out, which gives the radians back."""
-    for _ in range(8):
-        time, q, u = guided(sawyer, rng)
-        assert refused(sawyer, tmp_path, time, np.degrees(q)).code == "degrees"
-    demos = load(sawyer, tmp_path, time, np.degrees(q), np.degrees(u), degrees=True)
-    np.testing.assert_allclose(demos[0].q, q, rtol=1e-12)
-    np.testing.assert_allclose(demos[0].u, u, rtol=1e-12)
-    assert demos.notes == ("demo.npz: degrees converted to radians, as asked",)
-
-
 def test_a_little_beyond_the_limits_is_a_note(sawyer: Robot, rng, tmp_path: Path) -> None:
     """An excess of two degrees is accepted with a note; twelve degrees are rejected, unless the caller allows it."""
     time, q, u = guided(sawyer, rng)

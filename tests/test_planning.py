@@ -60,12 +60,6 @@ def opened(drawer):
     return ml.plan(drawer, opening(drawer, keep_orientation=True, pause=0.5), HARD)
 
 
-def hinge(robot: ml.Robot, point: np.ndarray) -> ml.Constraint:
-    return ml.Constraint(
-        np.eye(2), ml.MechanismRows(robot, PANDA_TIP, ("radial", "axial"), axis=(0, 0, 1), point=point)
-    )
-
-
 # ---- a plan -----------------------------------------------------------------------------------------------------
 
 
@@ -105,31 +99,6 @@ def test_simulate_and_a_servo_loop_run_a_plan(sawyer, opened):
     loop.reset(HARD)  # and a second time from the start
     loop.update(HARD, 100.0)
     assert loop.controller.number == 0
-
-
-@pytest.mark.parametrize("turn", (60.0, -60.0))
-def test_a_door_is_planned(panda, turn):
-    """To either side, to a third of a degree."""
-    door = hinge(panda, panda.position(READY, PANDA_TIP) + [0.0, 0.4, 0.0])
-    plan = ml.plan(door, ml.motion(door, turn=np.radians(turn)), READY, **FEW)
-    assert plan.outcome.done == pytest.approx(np.radians(turn), abs=np.radians(0.3)) and plan.margin > 0.2
-
-
-def test_joints_without_limits_take_the_short_way(tmp_path):
-    """As configurations too, whose angles jump by a turn: the plan does not run against its joints."""
-    turns, bends = ("continuous", "1 0 0"), ("revolute", "0 1 0")
-    kinds = [("continuous", "0 0 1"), bends, turns, bends, turns, bends, turns]
-    places = ("0 0 0.3", "0 0 0.1", "0.3 0 0", "0.1 0 0", "0.3 0 0", "0.1 0 0", "0.1 0 0")
-    text = chain_urdf("arm", [(*kind, place, "0 0 0") for kind, place in zip(kinds, places, strict=True)])
-    for axis in ("0 0 1", "1 0 0"):
-        text = text.replace(f'"{axis}"/></joint>', f'"{axis}"/><limit velocity="2" effort="10"/></joint>')
-    (tmp_path / "arm.urdf").write_text(text)
-    robot = ml.load_robot(tmp_path / "arm.urdf")
-    start = robot.configuration(np.array([3.0, -0.9, 2.9, 1.4, -3.0, 0.8, 3.1]))
-    rail = line(robot, "tip")
-    plan = ml.plan(rail, ml.motion(rail, along=0.2, keep_orientation=True), start, **FEW)
-    assert plan.margin > 0.2 and plan.approach.q.shape[1] == robot.nq > robot.nv
-    assert np.all(np.abs(plan.approach.u) <= 0.3 * robot.velocity_limit)
 
 
 def test_a_way_too_fast_for_the_joints_takes_longer(panda):
