@@ -12,14 +12,11 @@ import numpy as np
 import pytest
 from case import case
 from hypothesis import strategies as st
-from urdf_corpus import ARM, CASES, chain, dae, edited, mimic_chain
+from urdf_corpus import ARM, CASES, chain, dae, mimic_chain
 
 import manip_learn as ml
 from manip_learn.errors import NotIdentifiableError, RobotError, UnknownNameError
 from manip_learn.robot import loading
-from manip_learn.robot.description import text
-from manip_learn.robot.description.text import parse_xml
-from manip_learn.robot.description.urdf import validate_urdf
 from manip_learn.robot.loading import load_robot, robot_from_text
 from manip_learn.robot.robot import Robot
 from manip_learn.robot.tips import likely_tips
@@ -86,7 +83,6 @@ NAMED = '<param name="min_position">-1</param><param name="max_position_value">1
         (safety('soft_lower_limit="0" soft_upper_limit="0" k_velocity="1"'), (-2.0, 2.0, 2.0), []),
         (control(("-1", " 1.5\n")), (-1.0, 1.5, 2.0), ["limits"]),
         (control(velocity=("-0.5", "0.4")), (-2.0, 2.0, 0.4), ["velocities"]),
-        (control(velocity=("", "0.5")), (-2.0, 2.0, 0.5), ["velocities"]),
         (control(direct=NAMED), (-1.0, 1.0, 2.0), ["limits"]),
         (control(("-3", "3"), ("-9", "9")), (-2.0, 2.0, 2.0), []),
         (control(("${lower}", "1")), (-2.0, 2.0, 2.0), []),
@@ -122,23 +118,18 @@ def test_shipped_arms_are_those_of_their_makers(name, tip, place):
     np.testing.assert_allclose(np.abs(robot.pose(np.zeros(robot.nv), tip)[:3, 3]), place, atol=1e-12)
 
 
-def test_the_hand_that_stood_still_is_not_learnt_about(tmp_path):
-    """Two arms, one of which moves: its hand is named, and with it the question is answered."""
-    links, joints = ["base"], []
-    for side in ("left", "right"):
-        chain = ["base", *(f"{side}_{n}" for n in ("a", "b", "c", "tool"))]
-        kinds = [(f"{side}_j{k}", "revolute") for k in range(3)] + [(f"{side}_tip", "fixed")]
-        joints += [joint(name, *chain[k : k + 2], kind=kind) for k, (name, kind) in enumerate(kinds)]
-        links += chain[1:]
-    robot = load_robot(described(tmp_path / "two.urdf", links, *joints))
-    rng, time = np.random.default_rng(3), np.linspace(0.0, 2.0, 120)
-    moves, motions = np.array([robot.moves(j, "right_tool") for j in robot.joint_names])[:, None], []
+def test_a_hand_that_did_not_move_is_refused():
+    """Of two arms one moves: the error names the other one's hand, and the frame to give instead."""
+    robot, rng, time = load_robot("baxter"), np.random.default_rng(3), np.linspace(0.0, 2.0, 120)[:, None]
+    middle = 0.5 * (robot.position_lower + robot.position_upper)
+    moves, motions = [robot.moves(joint, "right_gripper") for joint in robot.joint_names], []
     for _ in range(6):
-        swing = rng.uniform(0.2, 0.6, 6)[:, None] * np.sin(rng.uniform(1, 3, (6, 1)) * time + rng.uniform(0, 3, (6, 1)))
-        motions.append((time, np.where(moves, swing, 1e-4 * rng.standard_normal(swing.shape)).T))
-    words = "'left_tool' stood still.*'right_tool': name it with frame='right_tool'"
+        swing = rng.uniform(0.2, 0.6, 17) * np.sin(rng.uniform(1, 3, 17) * time + rng.uniform(0, 3, 17))
+        q = middle + np.where(moves, swing, 1e-4 * rng.standard_normal(swing.shape))
+        motions.append((time[:, 0], np.clip(q, robot.position_lower, robot.position_upper)))
+    words = "'left_gripper' stood still.*'right_gripper': name it with frame='right_gripper'"
     with pytest.raises(NotIdentifiableError, match=words):
-        ml.ConstraintLearner(ml.FrameJacobian(robot, frame="left_tool", axes="xyz")).fit(motions)
+        ml.ConstraintLearner(ml.FrameJacobian(robot, frame="left_gripper", axes="xyz")).fit(motions)
 
 
 TIPS = {  # links, and joints as (parent, child, name, kind); links without a number move no further
@@ -288,39 +279,6 @@ def test_mutants_are_refused_or_work(rng):
 
     attempt()
     assert seen["accept"] + seen["warn"] > 0.05 * seen.total(), "too wild to test what comes after validation"
-
-
-def test_bounds_of_a_document(monkeypatch):
-    """The last element, level, character, angle and length of an axis that are read, and the first that are not."""
-    assert text.MAX_ELEMENTS == 200_000
-    monkeypatch.setattr(text, "MAX_ELEMENTS", 500)
-    for most, code, document in (
-        (500, "xml-too-large", lambda n: f"<robot>{'<a/>' * (n - 1)}</robot>"),
-        (60, "xml-too-deep", lambda n: "<a>" * n + "</a>" * n),
-        (100_000, "xml-too-large", lambda n: f'<robot name="{"r" * n}"/>'),
-    ):
-        parse_xml(document(most).encode(), PATH)
-        with pytest.raises(RobotError) as caught:
-            parse_xml(document(most + 1).encode(), PATH)
-        assert caught.value.code == code
-    angle, limits, axis = 4.0 * np.pi, 'lower="-2" upper="2.5"', 'xyz="0 0 1"'
-    for old, new, code in (
-        (limits, f'lower="-{angle}" upper="{angle}"', None),
-        (limits, f'lower="-{angle}" upper="12.567"', "limit-degrees"),
-        (limits, 'lower="-999" upper="1000.1"', None),
-        *((axis, f'xyz="0 0 {length}"', None) for length in (0.0011, 999.0)),
-        *((axis, f'xyz="0 0 {length}"', "axis-norm") for length in (0.0009, 1001.0)),
-        ('xyz="0 0 0.3"', 'xyz="0 0 -1e6"', None),
-        *(('xyz="0 0 0.3"', f'xyz="{x}"', "far-away") for x in ("0 0 -1000001", "0 -1000001 0", "-1000001 0 0")),
-    ):
-        seen = None
-        try:
-            assert validate_urdf(parse_xml(edited((old, new)), PATH)).root == "base"
-        except RobotError as error:
-            seen = error.code
-        assert seen == code, new
-    massless = edited(('ixx="0.1"', 'ixx="0"'), ('iyy="0.1"', 'iyy="0"'), ('izz="0.1"', 'izz="0"'))
-    assert validate_urdf(parse_xml(massless, PATH)).warnings == ()
 
 
 def test_what_pinocchio_refuses_is_refused(monkeypatch):
