@@ -64,11 +64,8 @@ def test_a_way_is_done_as_far_as_was_asked(run, file):
         assert answer["wanted"] == float(way[1]) and answer["unit"] == ("m" if way[0] == "--along" else "deg")
         assert abs(answer["done"] - answer["wanted"]) < (1e-3 if answer["unit"] == "m" else 0.2), name
         assert 0.0 <= answer["deviation"] < 2e-3 and answer["fastest_joint"]["share_of_limit"] <= 1.0, name
-        assert answer["seconds"] > 0.0 and Path(answer["out"]) == Path(f"{name}.npz").resolve()
         r = ml.Rollout.load(answer["out"])
-        numbers = [r.manipulability.min(), r.manipulability.mean(), np.abs(r.u).max(), r.time[-1]]
-        keys = ("min_manipulability", "mean_manipulability", "max_velocity", "duration")
-        assert [answer[key] for key in keys] == numbers and answer["status_counts"] == r.status_counts, name
+        assert (answer["min_manipulability"], answer["duration"]) == (r.manipulability.min(), r.time[-1]), name
 
 
 def test_the_words_say_how_far(run, file):
@@ -126,32 +123,40 @@ def test_nothing_named_does_what_was_shown(run, shown, tmp_path):
     assert data_in(page)["rollouts"] and str(page.name) in out
 
 
+@pytest.mark.parametrize(
+    ("robot", "recordings", "options"),
+    [
+        # on purpose, to different targets
+        ("planar3", "planar3_reach", ("--frame", "tip", "--axes", "planar", "--velocities", "recorded")),
+        ("sawyer", "sawyer_door", ("--frame", "right_gripper_tip")),
+    ],
+)
+def test_the_line_to_type_next_works(run, robot, recordings, options):
+    """What `learn` says last is done, word by word."""
+    _code, out, _err = run("learn", robot, shipped_recordings() / recordings, *options, "--out", "task.json")
+    code, out, err = run(*out.split("next: manip-learn ")[1].split())
+    assert code == 0 and ("at the target" in out or "way done as shown" in out or "opened 10.0 of" in out), (out, err)
+
+
 def test_the_demo_shows_the_difference(run):
-    """From one start: as far as was shown with what was learnt, at most a third as far without; side by side. Of the
-    small robot too; or all the policies that its help names.
+    """From one start the learnt task goes as far as demonstrated, and at most a third as far without it, on one clock;
+    other robots and all policies that the help names can be asked for.
     """
     code, out, _err = run("demo", "--no-browser", "--json")
     answer = json.loads(out)
-    rollouts, page = answer["rollouts"], data_in(Path(answer["html"]))
-    assert code == 0 and list(rollouts) == ["without", "with"] and answer["constraint"]["n_constraints"] == 2
-    done = {name: rollout["done"] / rollout["wanted"] for name, rollout in rollouts.items()}
-    assert abs(rollouts["with"]["wanted"] - 0.232) < 1e-3  # the median that was shown
-    assert done["with"] >= 0.97 and done["without"] <= 1.0 / 3.0, done
-    assert rollouts["without"]["stopped_by"] and rollouts["with"]["stopped_by"] is None
-    assert rollouts["with"]["deviation"] < 1e-3 and rollouts["with"]["margin"] > 0.3
-    assert [pane["name"] for pane in page["panes"]] == ["without", "with"]
+    plain, learnt_ = (answer["rollouts"][name] for name in ("without", "with"))
+    assert code == 0 and abs(learnt_["wanted"] - 0.232) < 1e-3  # the median that was shown
+    assert learnt_["done"] >= 0.97 * learnt_["wanted"] and plain["done"] <= plain["wanted"] / 3.0
+    assert plain["stopped_by"] and learnt_["stopped_by"] is None and learnt_["deviation"] < 1e-3
+    page = data_in(Path(answer["html"]))
     grasps = [r["phases"][-1][0] if r["phases"] else page["zero"] for r in page["rollouts"]]
     assert grasps == pytest.approx([page["zero"]] * 2, abs=0.02)  # one clock from the grasp
-    policies = ["manipulability", "attractor", "zero"]
     for more, names in (
-        (["--all-policies"], ["plan", *policies]),
+        (["--all-policies"], ["plan", "manipulability", "attractor", "zero"]),
         (["--robot", "planar3"], ["without", "with"]),
-        (["--robot", "planar3", "--all-policies"], policies),
     ):
-        code, out, _err = run("demo", "--no-browser", "--out", "here", *more)
-        assert code == 0 and all(f" {name} " in f" {out} " for name in names)
+        assert run("demo", "--no-browser", "--out", "here", *more)[0] == 0
         assert [rollout["name"] for rollout in data_in(Path("here/replay.html"))["rollouts"]] == names
-    assert "a plan and the policies manipulability, attractor and zero" in run("demo", "--help")[1]
 
 
 def test_a_plan_on_the_command_line(run, shown):

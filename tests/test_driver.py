@@ -64,10 +64,9 @@ class Arm:
                 raise KeyboardInterrupt
             case "signal" if first:
                 os.kill(os.getpid(), signal.SIGINT)
-        nan, back = np.full(3, np.nan), self.q[::-1].copy()
-        readings = {"nan": nan, "impossible": np.full(3, 1e200), "stale": self.frozen, "reordered": back}
-        readings |= {"shorter": self.q[:2], "once": nan if first else self.q}
-        return readings.get(self.fault, self.q), None, None
+        readings = {"nan": np.full(3, np.nan), "impossible": np.full(3, 1e200)}
+        readings |= {"stale": self.frozen, "reordered": self.q[::-1].copy()}
+        return (readings | {"shorter": self.q[:2]}).get(self.fault, self.q), None, None
 
     def command(self, q, u) -> None:
         """Go there at once."""

@@ -10,7 +10,7 @@ from test_gradients import RobotOf
 
 import manip_learn as ml
 from manip_learn.control.tasks.motion_profile import MotionProfile
-from manip_learn.errors import ConstraintError, FeatureError, TargetError
+from manip_learn.errors import ConstraintError, TargetError
 from manip_learn.robot.rotations import rotation_matrix, rotation_vector
 
 TIP = "panda_hand_tcp"
@@ -162,7 +162,6 @@ WRONG = [
     ({"distance": np.nan}, "distance"),
     ({"distance": "far"}, "distance must be a number"),
     ({"speed": 0.0}, "speed must be a positive number"),
-    ({"speed": -0.1}, "speed must be a positive number"),
     ({"speed": np.inf}, "speed"),
     ({"gain": 0.0}, "gain"),
     ({"ramp": -1.0}, "ramp"),
@@ -186,8 +185,8 @@ NOT_DRIVEN = [  # rows of a mechanism or axes, selection, direction
 
 
 def test_what_is_refused(robot_of: RobotOf) -> None:
-    """Wrong arguments, nothing free, several directions free, a held or unknown row, combinations, and features without
-    coordinates: each with a sentence that names it.
+    """Wrong arguments, nothing free, several directions free, a held or unknown row, combinations: each with
+    a sentence that names it.
     """
     robot = robot_of("panda")
     line = ml.Constraint(np.eye(3)[1:], ml.FrameJacobian(robot, TIP))
@@ -204,12 +203,3 @@ def test_what_is_refused(robot_of: RobotOf) -> None:
         with case(rows, direction), pytest.raises(error, match=words or None):
             driven(rows, selection, direction)
     driven("radial axial", [[1.0, 0.0]], "axial")  # what is not selected is free
-    silent = ml.FreeDirection(
-        ml.Constraint([[1.0, 0.0]], ml.CustomFeatures(lambda q: np.eye(2), ("a", "b"), 2)), 0.1, 0.1
-    )
-    with pytest.raises(FeatureError, match="no task coordinates"):
-        silent.velocity(silent.constraint, np.zeros(2), 0.0)
-
-
-# arm -> end effector and a well-conditioned posture [rad]
-# fixture -> radius [m], pitch [m/rad] or None for a translation, axis ("hand": the approach axis), travel [rad or m]

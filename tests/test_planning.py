@@ -9,7 +9,7 @@ from itertools import product
 
 import numpy as np
 import pytest
-from conftest import chain_urdf, chain_with
+from conftest import chain_with
 from random_arms import random_tree
 
 import manip_learn as ml
@@ -186,15 +186,10 @@ def test_the_slope_of_the_soft_margin_is_that_of_central_differences(panda):
     stations = Stations.of(ml.motion(rail, along=0.2, keep_orientation=True), READY, Limits(panda))
     q = READY * [1, 1, 1, 1, 1, 1e-3, 1] + np.cumsum(rng.normal(0.0, 0.02, (len(stations), 7)), axis=0)
     value, slope, _ = soft_margin(stations, q)
-    steps = 1e-6
-    numeric = np.zeros_like(q)
     for i, j in product(range(0, len(q), 3), range(7)):
-        ahead, behind = q.copy(), q.copy()
-        ahead[i, j] += steps
-        behind[i, j] -= steps
-        numeric[i, j] = (soft_margin(stations, ahead)[0] - soft_margin(stations, behind)[0]) / (2.0 * steps)
-    rows = list(range(0, len(q), 3))
-    assert np.max(np.abs(numeric[rows] - slope[rows])) < 1e-5 * max(1.0, np.max(np.abs(slope)))
+        step = 1e-6 * np.outer(np.arange(len(q)) == i, np.eye(7)[j])
+        numeric = (soft_margin(stations, q + step)[0] - soft_margin(stations, q - step)[0]) / 2e-6
+        assert abs(numeric - slope[i, j]) < 1e-5 * max(1.0, np.max(np.abs(slope)))
     assert value <= margins_of(stations, q).margin + 1e-9
 
 
@@ -208,12 +203,11 @@ def test_the_sense_in_which_joints_have_more_room(rng):
         q[j] = (robot.position_lower, robot.position_upper, q, robot.position_upper - 1e-3)[k % 4][j]
         direction = rng.normal(size=7) * rng.choice([0.0, 1e-4, 1.0], 7)
         fastest = np.max(np.abs(direction))
-        moved = np.flatnonzero(np.abs(direction) > 1e-3 * fastest)
-        room = {}
-        for sense in (1.0, -1.0):  # the time until the first joint is at its limit
-            ends = np.where(sense * direction > 0.0, robot.position_upper, robot.position_lower)
-            room[sense] = min((abs(ends[i] - q[i]) / abs(direction[i]) for i in moved), default=np.inf)
-        back = fastest > 0.0 and room[1.0] < min(room[-1.0], 0.1 / fastest)
+        moved = np.abs(direction) > 1e-3 * fastest
+        ends = (np.where(sense * direction > 0.0, robot.position_upper, robot.position_lower) for sense in (1, -1))
+        # times until the first joint is at its limit
+        ahead, behind = (np.min(np.abs((end - q)[moved] / direction[moved]), initial=np.inf) for end in ends)
+        back = fastest > 0.0 and ahead < min(behind, 0.1 / fastest)
         np.testing.assert_array_equal(limits.freer_sense(q, direction), -direction if back else direction)
         turned += back
     assert 30 < turned < 170

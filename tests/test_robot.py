@@ -16,9 +16,10 @@ import pinocchio as pin
 import pytest
 from conftest import TIPS, URDFS, tip_of
 from rounding import rounding
+from test_gradients import central_difference
 from urdf_corpus import edited
 
-from manip_learn.constraint.features import FrameJacobian
+from manip_learn.constraint.features import CentreOfMass, FrameJacobian
 from manip_learn.errors import ConfigurationError, UnknownNameError
 from manip_learn.robot.collision import SelfCollision
 from manip_learn.robot.frame_kinematics import (
@@ -262,22 +263,21 @@ AXES = {"a": "0 0 1", "b": "0.6 0.8 0", "c": "0 1 0", "d": "1 0 0"}
 WIDE = '<limit lower="-3" upper="3" velocity="2" effort="1"/>'
 
 
-def urdf(mimics: dict[str, tuple[str, float, float]], order="abcd", types=None, limits=None) -> bytes:
+def urdf(mimics: dict[str, tuple[str, float, float]], types=None, limits=None) -> bytes:
     """A chain of the joints a, b, c, d; `mimics` maps a joint to (leader, multiplier, offset)."""
-    types, limits = TYPES | (types or {}), limits or {}
-    joints = {}
+    types, limits, joints = TYPES | (types or {}), limits or {}, ""
     for i, name in enumerate("abcd"):
         mimic = ""
         if name in mimics:
             leader, multiplier, offset = mimics[name]
             mimic = f'<mimic joint="{leader}" multiplier="{multiplier}" offset="{offset}"/>'
-        joints[name] = (
+        joints += (
             f'<joint name="{name}" type="{types[name]}"><parent link="l{i}"/><child link="l{i + 1}"/>'
             f'<origin xyz="0.2 0.1 0.{i}" rpy="0.{i} 0 0.2"/><axis xyz="{AXES[name]}"/>'
             f"{limits.get(name, WIDE)}{mimic}</joint>"
         )
     links = "".join(f'<link name="l{i}"/>' for i in range(5))
-    return f'<robot name="chain">{links}{"".join(joints[n] for n in order)}</robot>'.encode()
+    return f'<robot name="chain">{links}{joints}</robot>'.encode()
 
 
 def load(mimics: dict[str, tuple[str, float, float]], **options) -> Robot:
@@ -286,25 +286,13 @@ def load(mimics: dict[str, tuple[str, float, float]], **options) -> Robot:
     return robot_from_text(urdf(mimics, **options), Path("chain.urdf"), locked=locked)
 
 
-def free_pose(positions: dict[str, float], **options) -> np.ndarray:
-    """Pose of the last link when all joints are free, at given positions."""
-    model = pin.buildModelFromXML(urdf({}, **options).decode())
-    data, q = model.createData(), pin.neutral(model)
-    for name, x in positions.items():
-        joint = model.joints[model.getJointId(name)]
-        if joint.nv:
-            q[joint.idx_q : joint.idx_q + joint.nq] = (np.cos(x), np.sin(x)) if joint.nq == 2 else x
-    pin.framesForwardKinematics(model, data, q)
-    return data.oMf[model.getFrameId("l4")].homogeneous
-
-
 KNOWN = rounding(8 * 4, 2.0 * np.pi)  # four joints that turn by up to a full turn
 CHAIN = {"c": ("b", -2.0, 0.1), "b": ("a", 0.5, -0.3)}
 
 
-def same_place(robot, q, positions, **options):
-    """The last link is where the free joints bring it."""
-    np.testing.assert_allclose(robot.pose(q, robot.frame("l4")), free_pose(positions, **options), atol=KNOWN)
+def assert_same_place(robot, q, positions, **options):
+    """The last link is where the joints bring it when all of them are independent."""
+    np.testing.assert_allclose(robot.pose(q, "l4"), load({}, **options).pose(positions, "l4"), atol=KNOWN)
 
 
 def test_a_fixed_leader_holds_its_followers(rng):
@@ -313,7 +301,7 @@ def test_a_fixed_leader_holds_its_followers(rng):
     assert robot.joint_names == ("d",) and not robot.mimics
     assert robot.locked == {"b": 0.4, "c": pytest.approx(0.3)}
     assert sum("follows the fixed joint 'a'" in w for w in robot.warnings) == 2
-    same_place(robot, [0.6], {"b": 0.4, "c": 0.3, "d": 0.6}, types={"a": "fixed"})
+    assert_same_place(robot, [0.6], [0.4, 0.3, 0.6], types={"a": "fixed"})
 
 
 def test_a_locked_leader_holds_its_followers():
@@ -321,7 +309,7 @@ def test_a_locked_leader_holds_its_followers():
     robot = load(CHAIN, locked={"a": 0.8})
     assert robot.joint_names == ("d",)
     assert robot.locked == {"a": 0.8, "b": pytest.approx(0.1), "c": pytest.approx(-0.1)}
-    same_place(robot, [0.2], {"a": 0.8, "b": 0.1, "c": -0.1, "d": 0.2})
+    assert_same_place(robot, [0.2], [0.8, 0.1, -0.1, 0.2])
 
 
 def test_full_turns_reach_the_follower():
@@ -329,7 +317,7 @@ def test_full_turns_reach_the_follower():
     types, a = {"a": "continuous", "b": "revolute"}, 2 * np.pi + 0.4
     robot = load({"b": ("a", 0.5, 0.0)}, types=types)
     assert any("jumps" in w for w in robot.warnings)
-    same_place(robot, [a, 0, 0], {"a": a, "b": a / 2, "c": 0.0, "d": 0.0}, types=types)
+    assert_same_place(robot, [a, 0, 0], [a, a / 2, 0, 0], types=types)
 
 
 @pytest.mark.parametrize(
@@ -362,30 +350,23 @@ def test_every_derivative_is_exact_with_followers(mimics, tmp_path, rng):
     free, bound = (urdf(m).replace(b'"/>', f'">{MASS}{BALL}'.encode(), 5) for m in ({}, mimics))
     (tmp_path / "chain.urdf").write_bytes(bound)
     robot, whole = load_robot(tmp_path / "chain.urdf"), robot_from_text(free, Path("free.urdf"))
-    q, steps = 0.5 * robot.random_configuration(rng), 1e-5 * np.eye(robot.nv)
-
-    def slopes(of):
-        return np.stack([(of(q + step) - of(q - step)) / 2e-5 for step in steps], axis=-1)
-
-    J, H = robot.centre_of_mass_jacobian_and_derivative(q)
-    near, batch = SelfCollision(robot), robot.frame_kinematics("l4")
-    checked = [
-        (J, slopes(robot.centre_of_mass)),
-        (H, slopes(lambda x: robot.centre_of_mass_jacobian_and_derivative(x)[0])),
-        (robot.jacobian(q, "l4")[:3], slopes(lambda x: robot.position(x, "l4"))),
-    ]
-    for reference in ("world", "local"):
-        derivative = robot.jacobian_and_derivative(q, "l4", reference)[1]
-        checked.append((derivative, slopes(lambda x, ref=reference: robot.jacobian(x, "l4", ref))))
-        many = batch.jacobians_and_derivatives(q[None], reference)[1][0]
-        np.testing.assert_allclose(many, derivative, atol=1e-12)
-    for exact, by_steps in checked:
-        np.testing.assert_allclose(exact, by_steps, atol=1e-9)
-    found = {p.links: p for p in near.closer_than(q, 10.0)}
-    assert set(found) == {("l0", "l3"), ("l0", "l4"), ("l1", "l4")}
-    for links, seen in found.items():
-        by_steps = slopes(lambda x, k=links: {p.links: p for p in near.closer_than(x, 10.0)}[k].distance)
-        np.testing.assert_allclose(seen.gradient, by_steps, atol=1e-7, err_msg=str(links))
+    q, near = 0.5 * robot.random_configuration(rng), SelfCollision(robot)
+    for features in (*(FrameJacobian(robot, "l4", "pose", view) for view in ("world", "local")), CentreOfMass(robot)):
+        derivative = features.derivative(q)
+        np.testing.assert_allclose(derivative, central_difference(features, robot, q), atol=1e-9)
+        np.testing.assert_allclose(features.batch_with_derivative(q[None])[1][0], derivative, atol=1e-12)
+    for J, place in (
+        (robot.jacobian(q, "l4")[:3], lambda x: robot.position(x, "l4")),
+        (robot.centre_of_mass_jacobian_and_derivative(q)[0], robot.centre_of_mass),
+    ):
+        np.testing.assert_allclose(J, central_difference(place, robot, q), atol=1e-9)
+    pairs = near.closer_than(q, 10.0)
+    assert {p.links for p in pairs} == {("l0", "l3"), ("l0", "l4"), ("l1", "l4")}
+    for pair in pairs:
+        expected = central_difference(
+            lambda x, k=pair.links: {p.links: p for p in near.closer_than(x, 10.0)}[k].distance, robot, q
+        )
+        np.testing.assert_allclose(pair.gradient, expected, atol=1e-7, err_msg=str(pair.links))
     lift, acceleration = robot.coupling.lift, rng.normal(size=robot.nv)
     expected = lift.T @ whole.inertial_effort(robot.pinocchio_configuration(q), lift @ acceleration)
     np.testing.assert_allclose(robot.inertial_effort(q, acceleration), expected, atol=1e-12)
