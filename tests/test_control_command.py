@@ -68,20 +68,6 @@ def test_a_way_is_done_as_far_as_was_asked(run, file):
         assert (answer["min_manipulability"], answer["duration"]) == (r.manipulability.min(), r.time[-1]), name
 
 
-def test_the_words_say_how_far(run, file):
-    """The first words are those of a person: opened, or pushed in by a hand that goes away from the base; how far."""
-    code, out, _err = run("control", *file("drawer"), "--along", "0.15", "--check")
-    said = "pushed in 0.150 of 0.150 m start: the first posture in which the task was shown"
-    assert code == 0 and out.startswith(said)
-    assert "note: as when the constraint was made: panda_finger_joint1 = 0, panda_finger_joint2 = 0 locked" in out
-    for name, way, said in (
-        ("drawer", ("--along", "-0.1"), "opened 0.100 of 0.100 m"),
-        ("door", ("--turn", "-30"), "opened 30.0 of 30.0 degrees"),
-        ("table", ("--along", "0.1", "--direction", "0,1,0"), "moved 0.100 of 0.100 m"),
-    ):
-        assert run("control", *file(name), *way)[1].startswith(said)
-
-
 def typed(**places):
     """Options with numbers."""
     return [f"--{name}={','.join(map(str, numbers))}" for name, numbers in places.items()]

@@ -33,16 +33,11 @@ def joint(name: str, parent: str, child: str, more: str = "", kind: str = "revol
     return f'<joint name="{name}" type="{kind}">{ends}{limit}{more}</joint>'
 
 
-def described(path: Path, links: list[str], *joints: str, visual: str = "") -> Path:
-    """A URDF; the last link is drawn as it is said."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    bodies = "".join(f'<link name="{n}"/>' for n in links[:-1]) + f'<link name="{links[-1]}">{visual}</link>'
+def described(path: Path, links: list[str], *joints: str) -> Path:
+    """Write a URDF."""
+    bodies = "".join(f'<link name="{name}"/>' for name in links)
     path.write_text(f'<robot name="made">{bodies}{"".join(joints)}</robot>')
     return path
-
-
-def mesh(uri: str, scale: str = "") -> str:
-    return f'<visual><geometry><mesh filename="{uri}"{scale}/></geometry></visual>'
 
 
 def test_the_unit_of_a_collada_file_is_applied(tmp_path):
@@ -158,21 +153,6 @@ def test_the_tip_is_what_the_whole_arm_moves(name, tmp_path):
         copy = kind == "copy"
         joints.append(joint(called, parent, child, kind="fixed" if copy else kind, x=0.0 if copy else 0.1))
     assert likely_tips(load_robot(described(tmp_path / "a.urdf", ["b", *(e[1] for e in edges)], *joints))) == tips
-
-
-@pytest.mark.parametrize("tag", ["visual", "collision"])
-def test_summary_says_what_is_wrong(tag, tmp_path):
-    """Warnings of validation, missing meshes, and the kind of each coordinate of a moving base."""
-    bodies = "".join(mesh(f"gone{i}.stl").replace("visual", tag) for i in range(3))
-    no_speed = '<limit lower="-1" upper="1" effort="1"/>'
-    path = described(tmp_path / "a.urdf", ["b", "l"], joint("j", "b", "l", no_speed), visual=bodies)
-    summary = ml.inspect_robot(load_robot(path, base="planar"))
-    assert [j.unit for j in summary.joints] == ["m", "m", "rad", "rad"]
-    assert [j.name for j in summary.joints][:3] == ["root_joint.x", "root_joint.y", "root_joint.rz"]
-    assert any("no velocity limit" in w for w in summary.warnings)
-    assert list(summary.meshes_missing) == ["gone0.stl", "gone1.stl", "gone2.stl"]  # one line with their number
-    known = [w.partition(";")[0] for w in summary.warnings]
-    assert "Plain shapes stand in for l: mesh 'gone0.stl' (and 2 more) was not found" in known
 
 
 # ---- hostile, unusual and mutated descriptions ----

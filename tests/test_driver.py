@@ -174,8 +174,7 @@ def test_another_period_is_refused(planar3):
 class Hands:
     """The hands of a clock, which move when somebody waits or moves them."""
 
-    def __init__(self) -> None:
-        self.time = 1000.0
+    time = 1000.0
 
     def now(self) -> float:
         """The time [s]."""

@@ -11,17 +11,11 @@ from servo_cases import Arm, Constantly
 
 import manip_learn as ml
 from manip_learn.control.barriers import approach_bound
-from manip_learn.control.joint_motion import JointMotion, every_joint
 from manip_learn.errors import ConfigurationError, ManipLearnError, UnknownNameError
 
 TIP, SPEED, DT = "right_gripper_tip", 0.25, 0.002
 CLEARANCE, SLACK = 0.005, 1e-4  # [m]
 BENT = np.array([0.3, -0.6, 0.2, 0.9, 0.1, 0.5, 0.0])
-
-
-@pytest.fixture
-def sawyer(robot_of):
-    return robot_of("sawyer")
 
 
 # ---- joints ----
@@ -176,23 +170,6 @@ def test_an_oblique_wall_and_a_start_beyond_it(sawyer):
     rollout = ml.simulate(sawyer, law, BENT, 1.5, DT)
     behind = [(n @ sawyer.position(x, TIP) - wall[3]) / np.linalg.norm(n) for x in rollout.q]
     assert behind[0] == pytest.approx(0.02) and abs(behind[-1]) < 1e-3
-
-
-def test_a_motion_of_the_joints_takes_the_time_that_the_tip_needs(sawyer, rng):
-    """From posture to posture the tip keeps its speed and the joints their straight lines, which are clear."""
-    knots = np.cumsum([BENT, *rng.uniform(-0.3, 0.3, (2, 7))], axis=0)
-    limits = ml.Limits(sawyer).with_tip_speed(0.1, [TIP])
-    task = JointMotion(limits, knots)
-    law = ml.ResolvedRateController(every_joint(sawyer), task, limits=limits)
-    rollout = ml.simulate(sawyer, law, knots[0], task.duration + 0.1, 0.01)
-    places = np.array([sawyer.position(q, TIP) for q in rollout.q])
-    assert 0.09 < np.linalg.norm(np.diff(places, axis=0), axis=1).max() / 0.01 <= 0.1
-    away = np.full(len(rollout), np.inf)  # from the straight lines
-    for a, d in zip(knots[:-1], np.diff(knots, axis=0), strict=True):
-        share = np.clip((rollout.q - a) @ d / (d @ d), 0.0, 1.0)
-        away = np.minimum(away, np.linalg.norm(rollout.q - a - share[:, None] * d, axis=1))
-    assert away.max() < 1e-3 and np.linalg.norm(rollout.q[-1] - knots[-1]) < 1e-3
-    assert JointMotion(ml.Limits(sawyer), knots).duration < 0.5 * task.duration
 
 
 # ---- links, and what stands around ----

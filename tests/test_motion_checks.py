@@ -16,12 +16,7 @@ from manip_learn.errors import RecordingError
 from manip_learn.recordings import load_demonstrations
 from manip_learn.recordings.checks import alternation
 from manip_learn.recordings.trajectory import Demonstrations
-from manip_learn.robot import Robot, load_robot
-
-
-@pytest.fixture(scope="module")
-def sawyer() -> Robot:
-    return load_robot("sawyer")
+from manip_learn.robot import Robot
 
 
 def guided(robot: Robot, rng: np.random.Generator, n: int = 400, dt: float = 0.05) -> tuple[np.ndarray, ...]:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import logging
 import sys
 from collections.abc import Iterator
-from itertools import product
 
 import numpy as np
 import pytest
@@ -18,8 +17,7 @@ from manip_learn.control.limits import Limits
 from manip_learn.errors import MissingExtraError
 from manip_learn.planning.clearance import Clearance, Surroundings, links_of
 from manip_learn.planning.joint_path import joint_path
-from manip_learn.planning.stations import Stations, margins_of
-from manip_learn.planning.ways import soft_margin
+from manip_learn.planning.stations import Stations
 from manip_learn.robot.collision import Obstacle, SelfCollision
 
 # ---- Plans: the posture in which to take hold, the approach, the way, and what is said where there is none ----
@@ -28,16 +26,6 @@ PANDA_TIP = "panda_hand_tcp"
 READY = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.7, 0.8])
 FEW = {"candidates": 96}  # where the promise does not depend on how many are compared
 HARD = np.array(SCENES["sawyer"].start)  # a degree from a singularity of the drawer's rows
-
-
-@pytest.fixture(scope="module")
-def panda():
-    return ml.load_robot("panda", locked=("panda_finger_joint1", "panda_finger_joint2"))
-
-
-@pytest.fixture(scope="module")
-def sawyer():
-    return ml.load_robot("sawyer")
 
 
 def line(robot: ml.Robot, tip: str, along: tuple[float, float, float] = (1.0, 0.0, 0.0)) -> ml.Constraint:
@@ -178,19 +166,6 @@ def test_bad_starts_and_ways_are_refused_in_a_sentence(panda):
 
 
 # ---- parts ------------------------------------------------------------------------------------------------------
-
-
-def test_the_slope_of_the_soft_margin_is_that_of_central_differences(panda):
-    """Beside a singularity of the wrist, too."""
-    rail, rng = line(panda, PANDA_TIP), np.random.default_rng(2)
-    stations = Stations.of(ml.motion(rail, along=0.2, keep_orientation=True), READY, Limits(panda))
-    q = READY * [1, 1, 1, 1, 1, 1e-3, 1] + np.cumsum(rng.normal(0.0, 0.02, (len(stations), 7)), axis=0)
-    value, slope, _ = soft_margin(stations, q)
-    for i, j in product(range(0, len(q), 3), range(7)):
-        step = 1e-6 * np.outer(np.arange(len(q)) == i, np.eye(7)[j])
-        numeric = (soft_margin(stations, q + step)[0] - soft_margin(stations, q - step)[0]) / 2e-6
-        assert abs(numeric - slope[i, j]) < 1e-5 * max(1.0, np.max(np.abs(slope)))
-    assert value <= margins_of(stations, q).margin + 1e-9
 
 
 def test_the_sense_in_which_joints_have_more_room(rng):
