@@ -143,17 +143,3 @@ def test_the_demo_shows_the_difference(run):
     ):
         assert run("demo", "--no-browser", "--out", "here", *more)[0] == 0
         assert [rollout["name"] for rollout in data_in(Path("here/replay.html"))["rollouts"]] == names
-
-
-def test_a_plan_on_the_command_line(run, shown):
-    """Its answer says what limits it; without a way it is as far as was shown."""
-    way = ("control", "sawyer", shown, "--along", "0.2", "--direction", "shown")
-    code, out, _err = run(*way, "--plan", "--explain", "--out", "run.npz")
-    assert code == 0 and out.startswith("opened 0.200 of 0.200 m")
-    assert "plan: take hold" in out and "margin" in out and " mm from what holds it" not in out
-    rollout = ml.Rollout.load("run.npz", ml.load_robot("sawyer"))
-    assert [name for name, _, _ in rollout.phases] == ["approach", "way"] and 0.0 < rollout.ways[0]["margin"] < 1.0
-    code, out, _err = run("control", "sawyer", shown, "--json")
-    assert code == 0 and json.loads(out)["wanted"] == pytest.approx(
-        ml.Constraint.load(shown, ml.load_robot("sawyer")).shown.extent
-    )

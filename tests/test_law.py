@@ -12,8 +12,6 @@ from random_arms import Asks, inside, oblique
 from scipy.optimize import lsq_linear, nnls
 
 import manip_learn as ml
-from manip_learn.constraint.manipulability import smallest_gradient
-from manip_learn.control.barriers import approach_bound
 from manip_learn.control.law import ACROSS, ALONG, nearest_within
 from manip_learn.control.limits import Bounds
 from manip_learn.control.policies import (
@@ -131,7 +129,7 @@ def test_the_command_solves_the_program_of_the_docstring(name, robot_of, rng):
         rows = oblique(ml.FrameJacobian(robot, tip_of(name), "xyz"), 2, rng)
         q = inside(robot, rng, 0.98)
         A = rows(q)
-        if np.linalg.svd(A, compute_uv=False)[-1] < 0.15:
+        if np.linalg.svd(A, compute_uv=False)[-1] < 0.3:  # nearer, the approach to the singularity has its own bound
             continue
         task, policy = Asks(0.05 * rng.normal(size=2)), JointAttractor(robot.neutral(), 2.0, robot=robot)
         law = ml.ResolvedRateController(rows, task, policy, dt=DT)
@@ -143,11 +141,7 @@ def test_the_command_solves_the_program_of_the_docstring(name, robot_of, rng):
         drive, w = X @ task.b, velocity_of(policy, q)
         wish = drive + w - X @ (A @ w)
         wish -= X @ ((rows(robot.integrate(q, 0.5 * DT * previous)) - A) @ previous)
-        A, vjp = rows.value_and_vjp(q)
-        slope = smallest_gradient(np.linalg.svd(A), vjp)
-        smallest = float(np.linalg.svd(A, compute_uv=False)[-1])
-        presses = -float(slope @ wish) > approach_bound(smallest, slope, law.limits.acceleration, DT)
-        if presses or bounds.admit(wish) or np.any(np.abs(drive) > law.limits.velocity):
+        if bounds.admit(wish) or np.any(np.abs(drive) > law.limits.velocity):
             continue
         d = task.b / np.linalg.norm(task.b)
         weighed = np.vstack(((A - np.outer(d, d @ A)) / ACROSS, (d @ A)[None] / ALONG, np.eye(robot.nv)))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import sys
 from collections.abc import Iterator
+from itertools import pairwise, product
 
 import numpy as np
 import pytest
@@ -245,21 +246,10 @@ def blocked(
             yield start, goal, clear
 
 
-def is_nearer(collision: SelfCollision, path: list[np.ndarray], distance: float) -> bool:
-    """Whether anything comes nearer than a distance [m] on straight motions through postures."""
-    stations = np.linspace(0.0, 1.0, STATIONS)
-    pairs = zip(path[:-1], path[1:], strict=True)
-    return any(collision.closer_than(a + s * (b - a), distance) for a, b in pairs for s in stations)
-
-
-@pytest.fixture(scope="module")
-def roboplan():
-    return pytest.importorskip("roboplan.rrt", reason=NO_ROBOPLAN)
-
-
 @pytest.mark.parametrize("name", ["sawyer", "panda", pytest.param("kinova", marks=pytest.mark.slow), 2, 5])
-def test_paths_are_clear_and_repeated(roboplan, name, tmp_path):
+def test_paths_are_clear_and_repeated(name, tmp_path):
     """Shapes of every kind, mimic, continuous and sliding joints, trees, and robots whose links are capsules."""
+    pytest.importorskip("roboplan.rrt", reason=NO_ROBOPLAN)
     robot = random_tree(np.random.default_rng(name), tmp_path) if isinstance(name, int) else ml.load_robot(name)
     limits, obstacles, found = Limits(robot), around(robot), 0
     known = links_of(robot)[0].with_obstacles(obstacles)
@@ -270,15 +260,17 @@ def test_paths_are_clear_and_repeated(roboplan, name, tmp_path):
         found += 1
         assert len(path) > 2 and np.array_equal(path[0], start) and np.array_equal(path[-1], goal)
         assert all(np.all(robot.position_lower - 1e-6 <= q) and np.all(q <= robot.position_upper + 1e-6) for q in path)
-        assert not is_nearer(known, path, 0.9 * clear.least)  # between the postures that were looked at
+        for (a, b), s in product(pairwise(path), np.linspace(0.0, 1.0, STATIONS)):  # also between what was looked at
+            assert not known.closer_than(a + s * (b - a), 0.9 * clear.least)
         other = Clearance(robot, links_of(robot)[0], Surroundings(obstacles), start)
         same = joint_path(robot, start, goal, limits, other, number)
         assert same is not None and np.array_equal(path, same)
     assert found >= 1
 
 
-def test_what_cannot_be_is_said(roboplan, caplog):
+def test_what_cannot_be_is_said(caplog):
     """Walls that part the plane of a planar arm, a goal inside one, a base that floats."""
+    pytest.importorskip("roboplan.rrt", reason=NO_ROBOPLAN)
     caplog.set_level(logging.INFO)
     robot = ml.load_robot("planar3")
     walls = ml.Scene(boxes=[ml.Box((3.0, 0.1, 1.0), (s * 1.8, 0.0, 0.0), f"wall {s}") for s in (-1, 1)])

@@ -327,10 +327,8 @@ FLAT = [("revolute", "0 0 1", "0.4 0 0", "0 0 0")] * 3
 
 
 SHEET = trimesh.creation.box((0.2, 0.1, 0.0), trimesh.transformations.rotation_matrix(0.7, (1, 2, 3))).export
-DOTS = trimesh.Trimesh([[0, 0, 0], [1e-3, 0, 0], [2e-3, 0, 0]], [[0, 1, 2]]).export
 ONE_LINK = {  # what is wrong with the shapes of a link -> these, what stands there, and why
     "a flat sticker": ('<mesh filename="sheet.stl"/>', ["Convex"], ""),
-    "points on a line": ('<mesh filename="dots.stl"/>', ["Convex"], ""),
     "a box without thickness": ('<box size="0.2 0 0.1"/>', ["Box"], ""),
     "a mesh that is missing": ('<mesh filename="gone.stl"/>', ["Capsule"], "'gone.stl' was not found"),
     "millimetres": ('<mesh filename="large.stl"/>', ["Capsule"], 'scale="0.001 0.001 0.001" in its <mesh> says so'),
@@ -349,8 +347,7 @@ def test_a_bad_shape_costs_its_own_link_only(tmp_path, tag, kind):
     so in one sentence. The other links count as they are, and nobody claims that the robot has no shapes.
     """
     elements, stands_there, why = ONE_LINK[kind]
-    files = {"sheet": SHEET(file_type="stl"), "dots": DOTS(file_type="stl")}
-    files |= {"large": stl(value=300.0), "larger": stl(value=400.0)}
+    files = {"sheet": SHEET(file_type="stl"), "large": stl(value=300.0), "larger": stl(value=400.0)}
     for name, content in files.items():
         (tmp_path / f"{name}.stl").write_bytes(content)
     shapes = dict.fromkeys(("base", "link0", "link2"), shape('<box size="0.1 0.1 0.1"/>', tag=tag))
