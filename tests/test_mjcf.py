@@ -108,6 +108,7 @@ def test_limits_are_those_of_mujoco(tmp_path, range_, limited):
         model, robot = mujoco.MjModel.from_xml_string(text), load(tmp_path, text)
         expected = model.jnt_range[0] if model.jnt_limited[0] else (-np.inf, np.inf)
         np.testing.assert_allclose((robot.position_lower[0], robot.position_upper[0]), expected, rtol=1e-15)
+        assert np.isinf(robot.velocity_limit[0])
     is_odd = range_ in ("1 0", "1 1") and limited != 'limited="false"'
     assert any("is ignored, as in MuJoCo" in w for w in robot.warnings) == is_odd
 
