@@ -60,7 +60,6 @@ MOVED = [
     ("radial helical", 0.03, NEAR, 4.0, None, "rad", ""),
     (f"{SLEEVE} screw", -0.03, NEAR, 1.5, None, "rad", "carried"),
     ("radial", 0.0, OUT, 0.1, "axial", "m", None),
-    (SLEEVE, 0.0, OUT, -0.4, "turn", "rad", None),
     (SLEEVE, 0.0, OUT, -0.05, "slide", "m", None),
     ("spherical", 0.0, OUT, 0.5, (0.0, 0.0, 2.0), "rad", None),
 ]

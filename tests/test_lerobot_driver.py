@@ -96,11 +96,8 @@ def test_a_gripper_among_the_others_shuts_and_opens(planar3):
     """0 is shut and 100 open, as LeRobot calibrates it; other motors stay where they were."""
     arm = in_units(Arm(), "degrees")
     driver = driver_of(arm, planar3)
-    for word, unit, position in (
-        ("close", "range_0_100", 0.0),
-        ("open", "range_0_100", 100.0),
-        ("close", "degrees", 100.0),
-    ):
+    percent = "range_0_100"
+    for word, unit, position in (("close", percent, 0.0), ("open", percent, 100.0), ("close", "degrees", 100.0)):
         arm.bus.motors["gripper"].norm_mode = SimpleNamespace(value=unit)
         driver.gripper(word)
         driver.command(START, np.zeros(3))

@@ -9,7 +9,6 @@ import subprocess
 import sys
 from collections import Counter
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -127,12 +126,12 @@ def test_both_engines_agree_in_every_state(name, robot_of, monkeypatch):
     assert compared > 0.5 * LAWS * STATES and words <= set(seen), seen
 
 
-def reaching(robot: ml.Robot, rng: np.random.Generator, policy: str = "ascent", **settings: Any) -> Any:
+def reaching(robot: ml.Robot, rng: np.random.Generator) -> ml.ResolvedRateController:
     """A law that is all compiled: two oblique rows towards a point that may be out of reach."""
     features = ml.FrameJacobian(robot, tip_of(robot.name), "xyz")
     rows = oblique(features, 2, rng)
     target = features.coordinates(robot.random_configuration(rng)) * rng.choice([1.0, 1.5])
-    return ml.ResolvedRateController(rows, ml.PointAttractor(target), ManipulabilityAscent(rows), **settings)
+    return ml.ResolvedRateController(rows, ml.PointAttractor(target), ManipulabilityAscent(rows))
 
 
 def test_a_start_outside_of_all_bounds_is_none(robot_of, rng):
