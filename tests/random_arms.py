@@ -12,16 +12,13 @@ from conftest import tip_of
 import manip_learn as ml
 from manip_learn.constraint.features.mechanism_rows import PlaceRows
 from manip_learn.control.policies import RoomAscent
-from manip_learn.control.tasks import Task
 from manip_learn.errors import ConstraintError
 from manip_learn.planning.clearance import links_of
-from manip_learn.robot.loading import load_robot
-from manip_learn.robot.robot import Robot
 
 KINDS = ("revolute", "revolute", "revolute", "continuous", "prismatic")
 
 
-class Asks(Task):
+class Asks(ml.Task):
     """A task that asks for one velocity everywhere."""
 
     def __init__(self, b: np.ndarray):
@@ -48,7 +45,7 @@ class Drives(Asks):
         return self.D
 
 
-def random_tree(rng: np.random.Generator, folder: Path, base: str = "0 0 0", rpy: str = "0 0 0") -> Robot:
+def random_tree(rng: np.random.Generator, folder: Path, base: str = "0 0 0", rpy: str = "0 0 0") -> ml.Robot:
     """A tree whose tip is at the end of one branch; `base` and `rpy` place all of it."""
     n = int(rng.integers(1, 10))
     links = ['<link name="world"/>', '<link name="foot"/>', joint("fixed", "world", "foot", base, rpy)]
@@ -65,7 +62,7 @@ def random_tree(rng: np.random.Generator, folder: Path, base: str = "0 0 0", rpy
     links += ['<link name="tip"/>', joint("fixed", f"link{n - 1}", "tip", "0.2 0.1 0.3", "0 0 0")]
     path = folder / "tree.urdf"
     path.write_text(f'<robot name="tree">{"".join(links)}</robot>', encoding="utf-8")
-    return load_robot(path)
+    return ml.load_robot(path)
 
 
 def joint(kind: str, parent: str, child: str, xyz: str, rpy: str, inside: str = "") -> str:

@@ -13,7 +13,6 @@ from test_playback import data_in
 import manip_learn as ml
 from manip_learn.cli import main
 from manip_learn.commands.demo import SCENES, shipped_recordings
-from manip_learn.constraint.features import FrameJacobian
 
 WAYS = {
     "drawer": ("--along", "0.15"),
@@ -42,7 +41,7 @@ def shown(tmp_path_factory):
     """Constraint file of the demo's drawer."""
     scene, robot = SCENES["sawyer"], ml.load_robot("sawyer")
     demos = ml.load_demonstrations(shipped_recordings() / scene.recordings, robot)
-    learner = ml.ConstraintLearner(FrameJacobian(robot, scene.frame)).fit(demos)
+    learner = ml.ConstraintLearner(ml.FrameJacobian(robot, scene.frame)).fit(demos)
     return learner.constraint_.save(tmp_path_factory.mktemp("shown") / "drawer.json")
 
 

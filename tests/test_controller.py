@@ -11,7 +11,6 @@ from rounding import rounding
 from servo_cases import Arm
 
 import manip_learn as ml
-from manip_learn.constraint.features import CustomFeatures
 from manip_learn.errors import ConfigurationError, ConstraintError, TargetError
 from manip_learn.linalg import null_basis
 
@@ -107,7 +106,7 @@ def test_bad_input_is_refused(planar):
 
 def test_features_without_a_robot():
     """A system that is no arm: no limits, the bare law, and NaN is refused all the same."""
-    features = CustomFeatures(lambda q: np.array([[1.0, q[0], 0.0]]), ("r",), 3, coordinates=lambda q: q[:1])
+    features = ml.CustomFeatures(lambda q: np.array([[1.0, q[0], 0.0]]), ("r",), 3, coordinates=lambda q: q[:1])
     controller = ml.ResolvedRateController(ml.Constraint([[1.0]], features), ml.PointAttractor([2.0]), inverse="exact")
     q = np.array([0.5, 0.0, 0.0])
     np.testing.assert_allclose(features(q) @ controller(q).velocity, [1.5], rtol=1e-14)

@@ -18,8 +18,6 @@ import manip_learn as ml
 from manip_learn.errors import NotIdentifiableError, RobotError, UnknownNameError
 from manip_learn.robot import loading
 from manip_learn.robot.loading import load_robot, robot_from_text
-from manip_learn.robot.robot import Robot
-from manip_learn.robot.tips import likely_tips
 from manip_learn.robot.visuals.meshes import Mesh, read_meshes
 from manip_learn.robot.visuals.visual_shapes import visual_shapes
 
@@ -109,7 +107,7 @@ def test_narrower_limits_of_safety_controllers_and_ros2_control_are_used(written
 def test_shipped_arms_are_those_of_their_makers(name, tip, place):
     """The tip at zero, and no warning."""
     robot = load_robot(name)
-    assert likely_tips(robot) == (tip,) and not robot.warnings
+    assert ml.likely_tips(robot) == (tip,) and not robot.warnings
     np.testing.assert_allclose(np.abs(robot.pose(np.zeros(robot.nv), tip)[:3, 3]), place, atol=1e-12)
 
 
@@ -152,7 +150,7 @@ def test_the_tip_is_what_the_whole_arm_moves(name, tmp_path):
         kind = (*kind, "revolute")[0]
         copy = kind == "copy"
         joints.append(joint(called, parent, child, kind="fixed" if copy else kind, x=0.0 if copy else 0.1))
-    assert likely_tips(load_robot(described(tmp_path / "a.urdf", ["b", *(e[1] for e in edges)], *joints))) == tips
+    assert ml.likely_tips(load_robot(described(tmp_path / "a.urdf", ["b", *(e[1] for e in edges)], *joints))) == tips
 
 
 # ---- hostile, unusual and mutated descriptions ----
@@ -161,7 +159,7 @@ PATH = Path("some/arm.urdf")
 GOLDEN = Path(__file__).with_name("golden") / "robot_sentences.txt"
 
 
-def use(robot: Robot, rng: np.random.Generator) -> None:
+def use(robot: ml.Robot, rng: np.random.Generator) -> None:
     """Evaluate the last frame at a random posture, so that a robot that only looks loaded is found out."""
     q, frame = robot.random_configuration(rng), robot.frame(robot.frame_names[-1])
     numbers = [robot.pose(q, frame), robot.jacobian(q, frame), *robot.jacobian_and_derivative(q, frame)]

@@ -14,29 +14,23 @@ from scipy.optimize import lsq_linear, nnls
 import manip_learn as ml
 from manip_learn.control.law import ACROSS, ALONG, nearest_within
 from manip_learn.control.limits import Bounds
-from manip_learn.control.policies import (
-    JointAttractor,
-    JointLimitAvoidance,
-    ManipulabilityAscent,
-    NullSpacePolicy,
-    SampledPolicy,
-)
+from manip_learn.control.policies import SampledPolicy
 from manip_learn.control.simulation import simulate_way
 
 DT = 0.01
 ARMS = ["planar3", "sawyer", "kinova", "gantry", "tree", "wrist"]
-Policies = Callable[[ml.Robot, ml.Constraint], NullSpacePolicy | None]
+Policies = Callable[[ml.Robot, ml.Constraint], ml.NullSpacePolicy | None]
 POLICIES: dict[str, Policies] = {
     "none": lambda robot, rows: None,
-    "ascent": lambda robot, rows: ManipulabilityAscent(rows),
-    "raw ascent": lambda robot, rows: ManipulabilityAscent(rows, logarithmic=False),
-    "rest": lambda robot, rows: JointAttractor(robot.neutral(), robot=robot),
-    "middle": lambda robot, rows: JointLimitAvoidance(robot),
+    "ascent": lambda robot, rows: ml.ManipulabilityAscent(rows),
+    "raw ascent": lambda robot, rows: ml.ManipulabilityAscent(rows, logarithmic=False),
+    "rest": lambda robot, rows: ml.JointAttractor(robot.neutral(), robot=robot),
+    "middle": lambda robot, rows: ml.JointLimitAvoidance(robot),
     "lambda": lambda robot, rows: lambda q, t: np.full(robot.nv, 0.1),  # type: ignore[return-value]
 }
 
 
-def velocity_of(policy: NullSpacePolicy, q: np.ndarray) -> np.ndarray:
+def velocity_of(policy: ml.NullSpacePolicy, q: np.ndarray) -> np.ndarray:
     """What the policy asks for, held for DT."""
     return policy(q, 0.0, DT) if isinstance(policy, SampledPolicy) else policy(q, 0.0)
 
@@ -131,7 +125,7 @@ def test_the_command_solves_the_program_of_the_docstring(name, robot_of, rng):
         A = rows(q)
         if np.linalg.svd(A, compute_uv=False)[-1] < 0.3:  # nearer, the approach to the singularity has its own bound
             continue
-        task, policy = Asks(0.05 * rng.normal(size=2)), JointAttractor(robot.neutral(), 2.0, robot=robot)
+        task, policy = Asks(0.05 * rng.normal(size=2)), ml.JointAttractor(robot.neutral(), 2.0, robot=robot)
         law = ml.ResolvedRateController(rows, task, policy, dt=DT)
         previous = 0.1 * np.minimum(robot.velocity_limit, 3.0) * rng.uniform(-1.0, 1.0, robot.nv)
         assert law.limits is not None
@@ -166,7 +160,7 @@ def test_a_joint_at_its_limit_pulls_no_hand_off_its_rail(climbs):
     robot = ml.load_robot("xarm7")
     start, rows = [3.302, -1.7578, 0.2082, 3.0665, 5.0783, 1.7292, 0.1807], rail(robot)
     task = ml.FreeDirection(rows, -0.5, 0.1)
-    climb = ManipulabilityAscent(rows if climbs == "held" else task.constraint)
+    climb = ml.ManipulabilityAscent(rows if climbs == "held" else task.constraint)
     law = ml.ResolvedRateController(rows, task, climb, dt=DT)
     rollout, way = simulate_way(robot, law, start, DT)
     places = np.array([robot.position(q, "link_eef") for q in rollout.q])

@@ -9,7 +9,6 @@ import pytest
 from task_sets import arm, learnt_from, shipped
 
 import manip_learn as ml
-from manip_learn.constraint.features import FrameJacobian, MechanismRows
 from manip_learn.control.simulation import DONE, WayDone, joint_at_limit, leads_away, simulate_way
 from manip_learn.control.tasks.motion import motion_to
 from manip_learn.errors import ConfigurationError, ConstraintError, TargetError
@@ -33,7 +32,7 @@ def screw() -> ml.Constraint:
     """A valve in front of a Panda: 20 mm a turn, its handle 0.12 m from the axis, in a hand that may turn."""
     robot = arm("panda")
     place = {"axis": [0.1, -0.2, 0.95], "point": [0.45, 0.1, 0.4], "pitch": 0.02 / (2 * np.pi)}
-    rows = MechanismRows(robot, "panda_hand_tcp", "radial helical", **place)
+    rows = ml.MechanismRows(robot, "panda_hand_tcp", "radial helical", **place)
     return ml.Constraint(np.eye(2), rows)
 
 
@@ -109,7 +108,7 @@ def test_a_run_may_begin_at_any_time_and_last_as_long_as_is_said() -> None:
 def test_a_way_that_is_too_long_says_what_stops_it() -> None:
     """How far it comes, and the joint whose limit or the singularity that ends it; nothing is beyond a limit."""
     robot = arm("panda")
-    knob = ml.Constraint(np.eye(6)[:5], FrameJacobian(robot, "panda_hand_tcp", "pose", "local"))
+    knob = ml.Constraint(np.eye(6)[:5], ml.FrameJacobian(robot, "panda_hand_tcp", "pose", "local"))
     rollout, way = done(knob, ml.motion(knob, turn=6.0), READY)
     assert not way.is_done and 1.0 < way.done < 6.0 and way.seconds is None
     assert way.stopped_by is not None and way.stopped_by.startswith("joint 'panda_joint7' at its ")
@@ -142,13 +141,13 @@ def test_of_rows_of_a_pose_the_translations_are_meant() -> None:
     f = np.array([0.6, 0.64, 0.48])
     across = np.linalg.svd(f[None])[2][1:]
     leak = 0.004 * np.random.default_rng(0).normal(size=(2, 3))  # what a learnt Lambda has of rotations
-    constraint = ml.Constraint(np.hstack([across, leak]), FrameJacobian(robot, "panda_hand_tcp", "pose"))
+    constraint = ml.Constraint(np.hstack([across, leak]), ml.FrameJacobian(robot, "panda_hand_tcp", "pose"))
     task = ml.motion(constraint, along=0.1)
     assert task.unit == "m" and abs(task.constraint.selection[-1][:3] @ f) > 0.999
     assert constraint.mechanism is not None and constraint.mechanism.type == "line"
     _rollout, way = done(constraint, task, READY)
     assert way.is_done
-    held = ml.Constraint(np.eye(6)[3:5], FrameJacobian(robot, "panda_hand_tcp", "pose"))  # an upright cup
+    held = ml.Constraint(np.eye(6)[3:5], ml.FrameJacobian(robot, "panda_hand_tcp", "pose"))  # an upright cup
     with pytest.raises(ConstraintError, match="3 directions free"):
         ml.motion(held, along=0.1)
     assert ml.motion(held, along=0.1, direction=[0, 0, 1]).unit == "m"

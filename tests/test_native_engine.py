@@ -16,12 +16,8 @@ from conftest import tip_of
 from random_arms import State, law_of, oblique, state_of
 
 import manip_learn as ml
-from manip_learn.control.command import Command
 from manip_learn.control.law import ACROSS, SCALED_BELOW, STALLED_BELOW
-from manip_learn.control.policies import (
-    ManipulabilityAscent,
-    SampledPolicy,
-)
+from manip_learn.control.policies import SampledPolicy
 
 built = pytest.mark.skipif(
     importlib.util.find_spec("manip_learn_fast") is None,
@@ -48,7 +44,7 @@ def singular(rows: ml.Constraint, q: np.ndarray) -> np.ndarray | None:
     return q if sigma[k] <= 1e-13 * sigma[0] else None
 
 
-def slack_of(law: ml.ResolvedRateController, state: State, command: Command) -> float | None:
+def slack_of(law: ml.ResolvedRateController, state: State, command: ml.Command) -> float | None:
     """By how much two correct roundings may differ [rad/s or m/s]; None where that is without bound."""
     sigma = np.linalg.svd(law.constraint(state.q), compute_uv=False)
     ratio, policy = min(sigma[-1] / sigma[0] if sigma[0] > 0.0 else 0.0, sigma[-1]), law.null_policy
@@ -68,7 +64,7 @@ def slack_of(law: ml.ResolvedRateController, state: State, command: Command) -> 
     return (AGREED + beside + tips) * size
 
 
-def undecided(command: Command, law: ml.ResolvedRateController, slack: float) -> bool:
+def undecided(command: ml.Command, law: ml.ResolvedRateController, slack: float) -> bool:
     """Whether a number that decides about the status is at its threshold."""
     near = 1e-9 + 10.0 * slack / max(float(np.linalg.norm(command.task_velocity)), 1e-6)
     numbers = ((command.progress, STALLED_BELOW), (command.task_scale, SCALED_BELOW))
@@ -131,7 +127,7 @@ def reaching(robot: ml.Robot, rng: np.random.Generator) -> ml.ResolvedRateContro
     features = ml.FrameJacobian(robot, tip_of(robot.name), "xyz")
     rows = oblique(features, 2, rng)
     target = features.coordinates(robot.random_configuration(rng)) * rng.choice([1.0, 1.5])
-    return ml.ResolvedRateController(rows, ml.PointAttractor(target), ManipulabilityAscent(rows))
+    return ml.ResolvedRateController(rows, ml.PointAttractor(target), ml.ManipulabilityAscent(rows))
 
 
 def test_a_start_outside_of_all_bounds_is_none(robot_of, rng):

@@ -14,7 +14,6 @@ from random_arms import random_tree
 
 import manip_learn as ml
 from manip_learn.commands.demo import SCENES
-from manip_learn.control.limits import Limits
 from manip_learn.errors import MissingExtraError
 from manip_learn.planning.clearance import Clearance, Surroundings, links_of
 from manip_learn.planning.joint_path import joint_path
@@ -94,7 +93,7 @@ def test_a_way_too_fast_for_the_joints_takes_longer(panda):
     """It is given the time that the slowest joint needs, and the plan says so."""
     rail = line(panda, PANDA_TIP, (0.0, 1.0, 0.0))
     motion = ml.motion(rail, along=0.5, speed=0.5, keep_orientation=True)
-    plan = ml.plan(rail, motion, READY, limits=Limits(panda, velocity=0.4), **FEW)
+    plan = ml.plan(rail, motion, READY, limits=ml.Limits(panda, velocity=0.4), **FEW)
     assert plan.outcome.is_done and plan.outcome.seconds > 3.0 * 1.5
     assert "too slow" in " ".join(plan.notes)
 
@@ -132,7 +131,7 @@ def test_nothing_touches_between_the_stations_of_a_way(tmp_path):
     held = ml.Constraint([[0, 1]], ml.FrameJacobian(robot, "tip", "x y"))
     motion = ml.motion(held, along=-1.6)
     way = ml.plan(held, motion, start, scene=None, **FEW).way
-    stations = Stations.of(motion, start, Limits(robot))
+    stations = Stations.of(motion, start, ml.Limits(robot))
     times = way.time[-1] - stations.time[-1] + stations.time
     middle = way.q[np.searchsorted(way.time, 0.5 * (times[40] + times[41]))]
     bead = ml.Sphere(0.001, (robot.pose(middle, "link2") @ [0.9, 0.0, 0.0, 1.0])[:3], "bead")
@@ -154,7 +153,7 @@ def test_bad_starts_and_ways_are_refused_in_a_sentence(panda):
     rail, rng, links = line(panda, PANDA_TIP), np.random.default_rng(3), links_of(panda)[0]
     motion = ml.motion(rail, along=0.2)
     touching = next(q for q in (panda.random_configuration(rng) for _ in range(9999)) if links.closer_than(q, 0.0))
-    endless = Limits(panda, velocity=np.where(np.arange(7) == 3, np.inf, 2.0))
+    endless = ml.Limits(panda, velocity=np.where(np.arange(7) == 3, np.inf, 2.0))
     for words, *plan in (
         ("outside its limits", rail, motion, READY + [9, 0, 0, 0, 0, 0, 0]),
         ("touch", rail, motion, touching),
@@ -172,7 +171,7 @@ def test_bad_starts_and_ways_are_refused_in_a_sentence(panda):
 def test_the_sense_in_which_joints_have_more_room(rng):
     """A direction is turned round where it would meet a limit within 0.1, and sooner than the other way."""
     robot, turned = ml.load_robot("sawyer"), 0
-    limits = Limits(robot)
+    limits = ml.Limits(robot)
     for k in range(200):
         q = rng.uniform(robot.position_lower, robot.position_upper)
         j = rng.integers(7)
@@ -251,7 +250,7 @@ def test_paths_are_clear_and_repeated(name, tmp_path):
     """Shapes of every kind, mimic, continuous and sliding joints, trees, and robots whose links are capsules."""
     pytest.importorskip("roboplan.rrt", reason=NO_ROBOPLAN)
     robot = random_tree(np.random.default_rng(name), tmp_path) if isinstance(name, int) else ml.load_robot(name)
-    limits, obstacles, found = Limits(robot), around(robot), 0
+    limits, obstacles, found = ml.Limits(robot), around(robot), 0
     known = links_of(robot)[0].with_obstacles(obstacles)
     for number, (start, goal, clear) in zip(range(3), blocked(robot, 1, obstacles), strict=False):
         path = joint_path(robot, start, goal, limits, clear, number)
@@ -276,19 +275,19 @@ def test_what_cannot_be_is_said(caplog):
     walls = ml.Scene(boxes=[ml.Box((3.0, 0.1, 1.0), (s * 1.8, 0.0, 0.0), f"wall {s}") for s in (-1, 1)])
     up, down, along = np.array([[1.5, 0.3, 0.3], [-1.5, 0.3, 0.3], [0.0, 0.0, 0.0]])
     clear = Clearance(robot, True, Surroundings(walls.obstacles(robot)), up)
-    assert joint_path(robot, up, down, Limits(robot), clear, 0) is None and "no path" in caplog.text
-    assert joint_path(robot, up, along, Limits(robot), clear, 0) is None
-    assert joint_path(robot, up, up + [0.0, 0.3, 0.3], Limits(robot), clear, 0) is not None
+    assert joint_path(robot, up, down, ml.Limits(robot), clear, 0) is None and "no path" in caplog.text
+    assert joint_path(robot, up, along, ml.Limits(robot), clear, 0) is None
+    assert joint_path(robot, up, up + [0.0, 0.3, 0.3], ml.Limits(robot), clear, 0) is not None
     floating = ml.load_robot("planar3", base="floating")
     start, goal = (np.concatenate([[0.0] * 6, q]) for q in (up, down))
     clear = Clearance(floating, True, Surroundings(walls.obstacles(floating)), start)
-    assert joint_path(floating, start, goal, Limits(floating), clear, 0) is None and "turn or slide" in caplog.text
+    assert joint_path(floating, start, goal, ml.Limits(floating), clear, 0) is None and "turn or slide" in caplog.text
 
 
 def test_roboplan_is_asked_where_the_straight_motion_is_not_clear(sawyer, monkeypatch):
     """Without it, a straight motion that is clear is found, and the sentence says what to install."""
     monkeypatch.setitem(sys.modules, "roboplan.core", None)
     start, goal, clear = next(blocked(sawyer, 5, around(sawyer)))
-    assert joint_path(sawyer, start, start + 1e-3, Limits(sawyer), clear, 0) is not None
+    assert joint_path(sawyer, start, start + 1e-3, ml.Limits(sawyer), clear, 0) is not None
     with pytest.raises(MissingExtraError, match=r"pip install 'manip_learn\[plan\]'"):
-        joint_path(sawyer, start, goal, Limits(sawyer), clear, 0)
+        joint_path(sawyer, start, goal, ml.Limits(sawyer), clear, 0)

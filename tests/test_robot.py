@@ -19,17 +19,10 @@ from rounding import rounding
 from test_gradients import central_difference
 from urdf_corpus import edited
 
-from manip_learn.constraint.features import CentreOfMass, FrameJacobian
+import manip_learn as ml
 from manip_learn.errors import ConfigurationError, UnknownNameError
-from manip_learn.robot.collision import SelfCollision
-from manip_learn.robot.frame_kinematics import (
-    DERIVATIVE_CHUNK,
-    closed_form,
-    columns_to_joints,
-    pinocchio_order_is_known,
-)
+from manip_learn.robot import frame_kinematics
 from manip_learn.robot.loading import load_robot, robot_from_text
-from manip_learn.robot.robot import Robot
 
 ROBOTS = [*URDFS, *TIPS]
 
@@ -136,10 +129,11 @@ def test_many_threads(robot_of, rng):
 def test_closed_form_hessian(robot_of, rng, name):
     """The stand-in for Pinocchio's Hessian, should its memory order change, gives the same derivatives."""
     robot, model = robot_of(name), robot_of(name).pinocchio_model
-    assert pinocchio_order_is_known(model)
+    assert frame_kinematics.pinocchio_order_is_known(model)
+    joints = frame_kinematics.columns_to_joints(model)
     for reference in ["world", "local"] * 3:
         J, H = robot.jacobian_and_derivative(robot.random_configuration(rng), tip_of(name), reference)
-        np.testing.assert_allclose(closed_form(J, columns_to_joints(model), reference), H, rtol=0, atol=1e-13)
+        np.testing.assert_allclose(frame_kinematics.closed_form(J, joints, reference), H, rtol=0, atol=1e-13)
 
 
 def gantry_within(folder, *limits):
@@ -175,14 +169,14 @@ def test_frames_and_joints_of_one_name(tmp_path):
 
 # ---- kinematics of one posture and of many at once ----
 
-TOLERANCE = 1e-12
+TOLERANCE, CHUNK = 1e-12, frame_kinematics.DERIVATIVE_CHUNK
 
 
-@pytest.mark.parametrize("n", [0, 1, *(DERIVATIVE_CHUNK + k for k in (-1, 0, 1)), 2 * DERIVATIVE_CHUNK + 3])
+@pytest.mark.parametrize("n", [0, 1, CHUNK - 1, CHUNK, CHUNK + 1, 2 * CHUNK + 3])
 def test_chunks_leave_no_seam(n, robot_of, rng):
     """Any number of postures, including zero: each row is the result of its own posture."""
     robot = robot_of("sawyer")
-    q, features = rng.uniform(-2.0, 2.0, (n, robot.nv)), FrameJacobian(robot, "right_hand", "x rz")
+    q, features = rng.uniform(-2.0, 2.0, (n, robot.nv)), ml.FrameJacobian(robot, "right_hand", "x rz")
     Phi, dPhi = features.batch_with_derivative(q)
     assert features.batch(q).shape == (n, 2, 7) and Phi.shape == (n, 2, 7) and dPhi.shape == (n, 2, 7, 7)
     assert robot.frame_kinematics(features.frame).poses(q).shape == (n, 4, 4)
@@ -196,7 +190,7 @@ def test_not_finite_names_row_and_joint(value, robot_of):
     """NaN or infinity is refused with the first bad row and the joint's name, before any work."""
     robot, q = robot_of("sawyer"), np.zeros((2000, 7))
     q[1234, 5], q[1500, 0] = value, np.nan
-    features = FrameJacobian(robot, "right_hand")
+    features = ml.FrameJacobian(robot, "right_hand")
     for call in (features.batch, features.batch_with_derivative, robot.frame_kinematics("right_hand").poses):
         with pytest.raises(ConfigurationError, match=rf"row 1234, joint '{robot.joint_names[5]}'"):
             call(q)
@@ -205,7 +199,7 @@ def test_not_finite_names_row_and_joint(value, robot_of):
 def test_wrong_tables_are_refused(robot_of):
     """One posture, a wrong number of columns, text, a (cos, sin) of length zero: each error says what is expected."""
     robot = robot_of("wrist")
-    features = FrameJacobian(robot, "tip")
+    features = ml.FrameJacobian(robot, "tip")
     for wrong in (np.zeros(4), np.zeros((3, 5)), np.zeros((2, 2, 4)), [["a"] * 4], [[1.0], [1.0, 2.0]]):
         with pytest.raises(ConfigurationError, match="table"):
             features.batch(wrong)
@@ -259,7 +253,7 @@ def urdf(mimics: dict[str, tuple[str, float, float]], types=None, limits=None) -
     return f'<robot name="chain">{links}{joints}</robot>'.encode()
 
 
-def load(mimics: dict[str, tuple[str, float, float]], **options) -> Robot:
+def load(mimics: dict[str, tuple[str, float, float]], **options) -> ml.Robot:
     """The chain."""
     locked = options.pop("locked", ())
     return robot_from_text(urdf(mimics, **options), Path("chain.urdf"), locked=locked)
@@ -329,8 +323,11 @@ def test_every_derivative_is_exact_with_followers(mimics, tmp_path, rng):
     free, bound = (urdf(m).replace(b'"/>', f'">{MASS}{BALL}'.encode(), 5) for m in ({}, mimics))
     (tmp_path / "chain.urdf").write_bytes(bound)
     robot, whole = load_robot(tmp_path / "chain.urdf"), robot_from_text(free, Path("free.urdf"))
-    q, near = 0.5 * robot.random_configuration(rng), SelfCollision(robot)
-    for features in (*(FrameJacobian(robot, "l4", "pose", view) for view in ("world", "local")), CentreOfMass(robot)):
+    q, near = 0.5 * robot.random_configuration(rng), ml.SelfCollision(robot)
+    for features in (
+        *(ml.FrameJacobian(robot, "l4", "pose", view) for view in ("world", "local")),
+        ml.CentreOfMass(robot),
+    ):
         derivative = features.derivative(q)
         np.testing.assert_allclose(derivative, central_difference(features, robot, q), atol=1e-9)
         np.testing.assert_allclose(features.batch_with_derivative(q[None])[1][0], derivative, atol=1e-12)
