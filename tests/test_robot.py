@@ -324,10 +324,8 @@ def test_every_derivative_is_exact_with_followers(mimics, tmp_path, rng):
     (tmp_path / "chain.urdf").write_bytes(bound)
     robot, whole = load_robot(tmp_path / "chain.urdf"), robot_from_text(free, Path("free.urdf"))
     q, near = 0.5 * robot.random_configuration(rng), ml.SelfCollision(robot)
-    for features in (
-        *(ml.FrameJacobian(robot, "l4", "pose", view) for view in ("world", "local")),
-        ml.CentreOfMass(robot),
-    ):
+    views = [ml.FrameJacobian(robot, "l4", "pose", view) for view in ("world", "local")]
+    for features in (*views, ml.CentreOfMass(robot)):
         derivative = features.derivative(q)
         np.testing.assert_allclose(derivative, central_difference(features, robot, q), atol=1e-9)
         np.testing.assert_allclose(features.batch_with_derivative(q[None])[1][0], derivative, atol=1e-12)
