@@ -67,9 +67,7 @@ class Arm:
         self.newest = self.t if t is SAME else self.newest
         u, change = command.velocity, command.velocity - self.last
         blocked = command.status is ml.Status.FOLLOWING_ERROR  # it then brakes as hard as the arm can
-        most = (
-            np.maximum(loop.acceleration_limit, ml.Limits(robot).acceleration) if blocked else loop.acceleration_limit
-        )
+        most = np.maximum(loop.acceleration_limit, ml.Limits(robot).acceleration if blocked else 0.0)
         assert np.all(np.abs(change) <= most * dt * ROUNDING), (self.t, u, self.last)
         if loop.jerk_limit is not None and not blocked:
             assert np.all(np.abs(change - self.rate) <= loop.jerk_limit * dt * dt * (1.0 + 1e-6)), self.t

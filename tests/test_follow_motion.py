@@ -21,12 +21,10 @@ def swaying(robot: ml.Robot, rng: np.random.Generator, duration: float, period: 
     return ml.Trajectory(time, q, None, robot.joint_names)
 
 
-def play(
-    robot: ml.Robot, motion: ml.Trajectory, seconds: float, dt: float = DT, **limits
-) -> tuple[ml.ServoLoop, ml.Rollout]:
-    """Played from its first posture."""
-    loop = ml.ServoLoop(ml.FollowMotion(robot, motion, ml.Limits(robot, **limits)), dt)
-    return loop, ml.simulate(robot, loop, motion.q[0], seconds, dt)
+def play(robot: ml.Robot, motion: ml.Trajectory, seconds: float, **limits) -> tuple[ml.ServoLoop, ml.Rollout]:
+    """Play a motion from its first posture."""
+    loop = ml.ServoLoop(ml.FollowMotion(robot, motion, ml.Limits(robot, **limits)), DT)
+    return loop, ml.simulate(robot, loop, motion.q[0], seconds, DT)
 
 
 def kept(limits: ml.Limits, u: np.ndarray, period: float) -> bool:
@@ -83,9 +81,8 @@ def test_tip_limit_slows_the_clock_and_keeps_the_path(panda):
     radius = np.linalg.norm(panda.jacobian(q[0], "panda_hand_tcp")[:3, 0])
     half = 0.5 * radius * 1.2 * np.pi / 8.0  # of its largest speed [m/s]
     loop, played = play(panda, motion, 12.0, tip_speed=half, frames="panda_hand_tcp")
-    speeds = [
-        np.linalg.norm(panda.jacobian(x, "panda_hand_tcp")[:3] @ u) for x, u in zip(played.q, played.u, strict=True)
-    ]
+    states = zip(played.q, played.u, strict=True)
+    speeds = [np.linalg.norm(panda.jacobian(x, "panda_hand_tcp")[:3] @ u) for x, u in states]
     assert max(speeds) < 1.001 * half and loop.controller.delay > 0.5
     assert np.max(np.abs(played.q[:, 1:] - q[0, 1:])) < 1e-5  # only the first joint moved
     assert abs(played.q[-1, 0] - turn[-1]) < 1e-6

@@ -75,9 +75,8 @@ def test_on_a_mechanism(robot_of: RobotOf, rows, pitch, off, distance, direction
     start = robot.pose(READY, TIP)
     point, ball = start[:3, 3] + off, rows == "spherical"
     features = ml.MechanismRows(robot, TIP, rows, axis=AXIS, point=point, pitch=pitch)
-    task = ml.FreeDirection(
-        ml.Constraint(np.eye(features.n_rows), features), distance, 0.8 if pitch else 0.5, direction=direction
-    )
+    constraint = ml.Constraint(np.eye(features.n_rows), features)
+    task = ml.FreeDirection(constraint, distance, 0.8 if pitch else 0.5, direction=direction)
     rollout = run(task, READY, climb=rows == "radial axial", limits=False)
     d = places(rollout, robot) - point
     z, rho = d @ AXIS, np.linalg.norm(d if ball else np.cross(d, AXIS), axis=1)

@@ -129,9 +129,8 @@ def test_no_frame_is_faster(axes, frames, sawyer, rng):
         task = ml.PointAttractor(sawyer.position(aim, TIP) if axes == "xyz" else sawyer.pose(aim, TIP), gain=5.0)
         most = []
         for limits in (ml.Limits(sawyer, tip_speed=SPEED, frames=frames), True):
-            arm = Arm(
-                ml.ServoLoop(ml.ResolvedRateController(rows, task, ml.ManipulabilityAscent(rows), limits=limits), DT), q
-            )
+            law = ml.ResolvedRateController(rows, task, ml.ManipulabilityAscent(rows), limits=limits)
+            arm = Arm(ml.ServoLoop(law, DT), q)
             speeds = [
                 [np.linalg.norm(sawyer.jacobian(at, frame)[:3] @ arm.last) for frame in frames]
                 for at, _ in ((arm.q, arm.call()) for _ in range(600))

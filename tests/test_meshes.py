@@ -255,9 +255,8 @@ def test_shapes_are_where_pinocchio_has_them(name):
     """Joint and placement agree with Pinocchio's own geometry reader."""
     robot = load_robot(name)
     model = robot.pinocchio_model
-    geometry = pin.buildGeomFromUrdf(
-        model, str(example_robots()[name]), pin.GeometryType.VISUAL, package_dirs=[str(example_package_dir())]
-    )
+    path, folders = str(example_robots()[name]), [str(example_package_dir())]
+    geometry = pin.buildGeomFromUrdf(model, path, pin.GeometryType.VISUAL, package_dirs=folders)
     theirs = sorted((g.parentJoint, *g.placement.homogeneous.round(6).ravel()) for g in geometry.geometryObjects)
     visuals = visual_shapes(robot)
     ours = sorted((v.joint, *v.placement.round(6).ravel()) for v in visuals)
@@ -270,9 +269,8 @@ def test_scale_and_mirror(tmp_path):
     (tmp_path / "meshes").mkdir()
     (tmp_path / "meshes" / "a.stl").write_bytes(stl())
     mesh = '<visual><geometry><mesh filename="../meshes/a.stl" scale="{}"/></geometry></visual>'
-    for shape, corner in zip(
-        visual_shapes(arm_with(tmp_path, mesh.format("2 3 4") + mesh.format("-2 3 4"))), (2, -2), strict=True
-    ):
+    robot = arm_with(tmp_path, mesh.format("2 3 4") + mesh.format("-2 3 4"))
+    for shape, corner in zip(visual_shapes(robot), (2, -2), strict=True):
         a, b, c = shape.shape.vertices[shape.shape.faces[0]]
         assert np.cross(b - a, c - a)[2] > 0.0
         assert {tuple(vertex) for vertex in (a, b, c)} == {(0, 0, 0), (corner, 0, 0), (0, 3, 0)}

@@ -110,9 +110,8 @@ def driven(example, law, mechanism, seconds, **options):
     """
     loop = ml.ServoLoop(law, PERIOD)
     loop.reset(GRASP)
-    arm = example["ArmPhysics"](
-        "panda", GRASP, mechanism, STIFFNESS, np.random.default_rng(7), **example["USED"], **options
-    )
+    used = example["USED"] | options
+    arm = example["ArmPhysics"]("panda", GRASP, mechanism, STIFFNESS, np.random.default_rng(7), **used)
     record = ml.run(loop, arm, seconds)
     for _ in range(1100):
         arm.command(loop.position)

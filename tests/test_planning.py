@@ -192,10 +192,8 @@ def test_the_sense_in_which_joints_have_more_room(rng):
 def test_of_a_link_with_several_shapes_the_nearest_counts(tmp_path, first):
     """4 and 8 mm away, in either order: it may come half as near as the nearer one is, so that the start is clear."""
     ball = '<collision><origin xyz="{} 0 0"/><geometry><sphere radius="0.05"/></geometry></collision>'
-    shapes = [ball.format(0.5), ball.format(0.7)]
-    robot = chain_with(
-        tmp_path, [("revolute", "0 0 1", "0 0 0.3", "0 0 0")], {"link0": "".join(shapes[:: 1 - 2 * first])}
-    )
+    shapes = "".join([ball.format(0.5), ball.format(0.7)][:: 1 - 2 * first])
+    robot = chain_with(tmp_path, [("revolute", "0 0 1", "0 0 0.3", "0 0 0")], {"link0": shapes})
     for at in (0.598, 0.602):  # between both, 4 mm from one
         around = ml.Scene(spheres=[ml.Sphere(0.044, (at, 0.0, 0.3), "ball")]).obstacles(robot)
         clear = Clearance(robot, True, Surroundings(around), np.zeros(1))
