@@ -12,7 +12,7 @@ from test_playback import data_in
 
 import manip_learn as ml
 from manip_learn.cli import main
-from manip_learn.commands.demo import SCENES, shipped_recordings
+from manip_learn.commands.demo import shipped_recordings
 
 WAYS = {
     "drawer": ("--along", "0.15"),
@@ -34,15 +34,6 @@ def run(capsys, monkeypatch, tmp_path):
         return code, " ".join(out.split()), err
 
     return call
-
-
-@pytest.fixture(scope="module")
-def shown(tmp_path_factory):
-    """Constraint file of the demo's drawer."""
-    scene, robot = SCENES["sawyer"], ml.load_robot("sawyer")
-    demos = ml.load_demonstrations(shipped_recordings() / scene.recordings, robot)
-    learner = ml.ConstraintLearner(ml.FrameJacobian(robot, scene.frame)).fit(demos)
-    return learner.constraint_.save(tmp_path_factory.mktemp("shown") / "drawer.json")
 
 
 @pytest.fixture(scope="module")
@@ -100,11 +91,12 @@ def test_a_target_is_the_point(run, file):
     assert err == "" and answer["stopped_by"] is None and answer["unit"] == "deg"
 
 
-def test_nothing_named_does_what_was_shown(run, shown, tmp_path):
-    """The place of hold and the margin are told; the replay is written beside the rollout."""
-    start, page = "1.2,-1.57,0,0,0,0,0", tmp_path / "run.html"
-    code, out, _err = run("control", "sawyer", shown, "--start", start, "--html", str(page))
-    assert code == 0 and out.startswith("opened 0.2") and "took hold at (" in out and "margin" in out
+def test_by_default_the_hand_moves_as_far_as_demonstrated(run, file, tmp_path):
+    """The grasp position and the margin are printed; the replay is written beside the rollout."""
+    page = tmp_path / "run.html"
+    code, out, _err = run("control", *file("drawer"), "--start", "0,-0.3,0,-2,0,1.8,0.7", "--html", str(page))
+    assert code == 0 and out.startswith("opened 0.182 of 0.182 m") and "took hold at (" in out and "margin" in out
+    assert "note: as when the constraint was made: panda_finger_joint1 = 0, panda_finger_joint2 = 0 locked" in out
     assert data_in(page)["rollouts"] and str(page.name) in out
 
 
@@ -116,8 +108,8 @@ def test_nothing_named_does_what_was_shown(run, shown, tmp_path):
         ("sawyer", "sawyer_door", ("--frame", "right_gripper_tip")),
     ],
 )
-def test_the_line_to_type_next_works(run, robot, recordings, options):
-    """What `learn` says last is done, word by word."""
+def test_the_printed_next_command_works(run, robot, recordings, options):
+    """The command that `learn` prints last runs as it is printed."""
     _code, out, _err = run("learn", robot, shipped_recordings() / recordings, *options, "--out", "task.json")
     code, out, err = run(*out.split("next: manip-learn ")[1].split())
     assert code == 0 and ("at the target" in out or "way done as shown" in out or "opened 10.0 of" in out), (out, err)

@@ -51,7 +51,7 @@ def inside(robot: ml.Robot, postures: np.ndarray, by: float = 1e-9) -> bool:
 
 
 @pytest.mark.parametrize(("name", "direction", "near"), [("drawer", None, 0.05), ("table", [1.0, 0.3, 0.0], 0.1)])
-def test_what_was_learnt_is_done_from_elsewhere(name: str, direction: list[float] | None, near: float) -> None:
+def test_the_hand_first_goes_to_the_mechanism(name: str, direction: list[float] | None, near: float) -> None:
     """A hand more than 0.1 m from every demonstrated position first goes to where the task was demonstrated, then moves
     the whole way to a millimetre, less than 2 mm off, within the limits. A table was not wiped everywhere.
     """
