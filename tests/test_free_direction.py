@@ -60,8 +60,10 @@ MOVED = [
     ("radial helical", 0.03, NEAR, 4.0, None, "rad", ""),
     (f"{SLEEVE} screw", -0.03, NEAR, 1.5, None, "rad", "carried"),
     ("radial", 0.0, OUT, 0.1, "axial", "m", None),
+    (SLEEVE, 0.0, OUT, -0.4, "turn", "rad", None),
     (SLEEVE, 0.0, OUT, -0.05, "slide", "m", None),
     ("spherical", 0.0, OUT, 0.5, (0.0, 0.0, 2.0), "rad", None),
+    ("slide-1 slide-2 slide", 0.0, OUT, 0.5, (0.0, 0.0, 2.0), "rad", None),
 ]
 
 
@@ -73,7 +75,7 @@ def test_on_a_mechanism(robot_of: RobotOf, rows, pitch, off, distance, direction
     """
     robot = robot_of("panda")
     start = robot.pose(READY, TIP)
-    point, ball = start[:3, 3] + off, rows == "spherical"
+    point, ball = start[:3, 3] + off, rows in ("spherical", "slide-1 slide-2 slide")
     features = ml.MechanismRows(robot, TIP, rows, axis=AXIS, point=point, pitch=pitch)
     constraint = ml.Constraint(np.eye(features.n_rows), features)
     task = ml.FreeDirection(constraint, distance, 0.8 if pitch else 0.5, direction=direction)

@@ -154,9 +154,11 @@ def test_of_rows_of_a_pose_the_translations_are_meant() -> None:
 
 
 def test_a_door_is_not_turned_towards_a_point_from_elsewhere() -> None:
-    """A hand that is not on the mechanism is refused, and so is what turns about no axis."""
+    """A hand that is not on the mechanism is refused, so is what turns about no axis, and a distance with an angle."""
     point = np.array([0.4, 0.2, 0.5])
     with pytest.raises(TargetError, match="away from the hinge"):
         motion_to(learnt("door")[0], point, np.array([0.5, -1.5, 1.0, -1.0, -1.5, 0.0]))
     with pytest.raises(ConstraintError, match="has no single rotation axis"):
         motion_to(learnt("drawer")[0], point, READY)
+    with pytest.raises(TargetError, match="one distance or angle"):
+        ml.motion(learnt("drawer")[0], along=0.1, turn=0.2)
