@@ -137,6 +137,18 @@ def robot_of(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Robot]
 
 
 @pytest.fixture(scope="session")
+def sawyer(robot_of: Callable[[str], Robot]) -> Robot:
+    """The shipped seven-joint arm."""
+    return robot_of("sawyer")
+
+
+@pytest.fixture(scope="session")
+def panda(robot_of: Callable[[str], Robot]) -> Robot:
+    """A Panda whose fingers are locked."""
+    return robot_of("panda")
+
+
+@pytest.fixture(scope="session")
 def planar3() -> Robot:
     """The shipped three-joint arm."""
     return load_robot("planar3")

@@ -8,9 +8,7 @@ import numpy as np
 from conftest import tip_of
 
 import manip_learn as ml
-from manip_learn.control.command import Command, Status
 from manip_learn.control.servo_loop import STANDING
-from manip_learn.robot.robot import Robot
 
 DT = 0.001
 ROUNDING = 1.0 + 1e-9  # of the change that the acceleration limits allow in a period
@@ -18,7 +16,7 @@ SAME = object()  # where the arm is, and the time of its clock
 OLD = object()  # the time of the last state that was given with the time of the clock
 
 
-def law_of(robot: Robot, name: str, reach: float = 0.3, seed: int = 4, **settings: Any) -> ml.ResolvedRateController:
+def law_of(robot: ml.Robot, name: str, reach: float = 0.3, seed: int = 4, **settings: Any) -> ml.ResolvedRateController:
     """Two oblique rows, a target `reach` m away, and manipulability ascent."""
     rng = np.random.default_rng(seed)
     features = ml.FrameJacobian(robot, tip_of(name), "planar" if name == "planar3" else "xyz")
@@ -28,27 +26,27 @@ def law_of(robot: Robot, name: str, reach: float = 0.3, seed: int = 4, **setting
     return ml.ResolvedRateController(constraint, task, ml.ManipulabilityAscent(constraint), **settings)
 
 
-def start_of(robot: Robot, seed: int = 2) -> np.ndarray:
+def start_of(robot: ml.Robot, seed: int = 2) -> np.ndarray:
     """A posture inside the limits."""
     rng = np.random.default_rng(seed)
     low, high = np.maximum(robot.position_lower, -2.0), np.minimum(robot.position_upper, 2.0)
     return rng.uniform(low + 0.2 * (high - low), high - 0.2 * (high - low))
 
 
-def command_of(velocity: Any) -> Command:
+def command_of(velocity: Any) -> ml.Command:
     """A command of a user's own controller."""
     zero = np.zeros(np.size(velocity))
-    return Command(velocity, Status.OK, 1.0, zero[:1], zero, zero, 1.0, 1.0, 1.0)
+    return ml.Command(velocity, ml.Status.OK, 1.0, zero[:1], zero, zero, 1.0, 1.0, 1.0)
 
 
 class Constantly:
     """A user's own controller that always wants the same velocity, in one array that it uses again and again."""
 
-    def __init__(self, robot: Robot, velocity: Any):
+    def __init__(self, robot: ml.Robot, velocity: Any):
         self.robot, self.velocity = robot, np.array(velocity, dtype=np.float64)
         self.buffer = np.zeros(robot.nv)
 
-    def __call__(self, q: np.ndarray, t: float = 0.0, dt: float | None = None) -> Command:
+    def __call__(self, q: np.ndarray, t: float = 0.0, dt: float | None = None) -> ml.Command:
         """The velocity, whatever the posture, which is written over."""
         q[:] = 99.0
         self.buffer[:] = self.velocity
@@ -62,16 +60,14 @@ class Arm:
         self.loop, self.q, self.t, self.newest, self.dt = loop, q, 0.0, 0.0, loop.dt
         self.last, self.rate = np.zeros((2, loop.robot.nv))
 
-    def call(self, measured: Any = SAME, t: Any = SAME) -> Command:
+    def call(self, measured: Any = SAME, t: Any = SAME) -> ml.Command:
         """One period: what was measured, where that is not where the arm is, and its time, where that is another."""
         loop, robot, dt, t = self.loop, self.loop.robot, self.dt, self.newest if t is OLD else t
         command = loop.update(self.q if measured is SAME else measured, self.t if t is SAME else t)
         self.newest = self.t if t is SAME else self.newest
         u, change = command.velocity, command.velocity - self.last
-        blocked = command.status is Status.FOLLOWING_ERROR  # it then brakes as hard as the arm can
-        most = (
-            np.maximum(loop.acceleration_limit, ml.Limits(robot).acceleration) if blocked else loop.acceleration_limit
-        )
+        blocked = command.status is ml.Status.FOLLOWING_ERROR  # it then brakes as hard as the arm can
+        most = np.maximum(loop.acceleration_limit, ml.Limits(robot).acceleration if blocked else 0.0)
         assert np.all(np.abs(change) <= most * dt * ROUNDING), (self.t, u, self.last)
         if loop.jerk_limit is not None and not blocked:
             assert np.all(np.abs(change - self.rate) <= loop.jerk_limit * dt * dt * (1.0 + 1e-6)), self.t
@@ -82,12 +78,12 @@ class Arm:
         assert np.all(kept | (command.outside > 0.0) | (command.status in STANDING))
         return command
 
-    def calls(self, periods: int, measured: Any = SAME, t: Any = SAME) -> list[Command]:
+    def calls(self, periods: int, measured: Any = SAME, t: Any = SAME) -> list[ml.Command]:
         """As many of them."""
         return [self.call(measured, t) for _ in range(periods)]
 
 
-def bad_postures(robot: Robot) -> list[Any]:
+def bad_postures(robot: ml.Robot) -> list[Any]:
     """What is no posture of a robot."""
     n = robot.nv
     return [

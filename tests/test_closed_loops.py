@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from conftest import TIPS
+from random_arms import inside, oblique
 from servo_cases import DT, Arm
 
 import manip_learn as ml
@@ -17,18 +18,6 @@ def arm_of(name):
     robot = ml.load_robot(name, locked=("panda_finger_joint1",) if name == "panda" else ())
     tip = {**TIPS, "xarm7": "link7"}[name]
     return robot, ml.FrameJacobian(robot, tip, "x y" if name == "planar3" else "xyz")
-
-
-def posture(robot, rng, margin=0.1):
-    """Inside the limits."""
-    low, high = np.maximum(robot.position_lower, -3.0), np.minimum(robot.position_upper, 3.0)
-    return low + (high - low) * rng.uniform(margin, 1.0 - margin, robot.nv)
-
-
-def oblique(features, rng, s):
-    """Rows in no axis's direction."""
-    p = features.n_rows
-    return ml.Constraint(np.linalg.qr(rng.normal(size=(p, p)))[0][:s], features)
 
 
 def run(law, q, periods):
@@ -47,10 +36,10 @@ def chatter(u) -> int:
 def test_a_target_out_of_reach_ends_the_motion_quietly(name):
     """Nothing turns to and fro, the arm slows down, and the status says that it does not get there."""
     (robot, features), rng = arm_of(name), np.random.default_rng(1)
-    rows, way = oblique(features, rng, 1 + 1 % features.n_rows), rng.normal(size=features.n_rows)
+    rows, way = oblique(features, 1 + 1 % features.n_rows, rng), rng.normal(size=features.n_rows)
     task = ml.PointAttractor(5.0 * way / np.linalg.norm(way), gain=1.0)
     law = ml.ResolvedRateController(rows, task, ml.ManipulabilityAscent(rows, gain=3.0))
-    commands, u = run(law, posture(robot, rng), 4000)
+    commands, u = run(law, inside(robot, rng), 4000)
     assert chatter(u) <= 1 and chatter(u[3000:]) == 0  # a swing that is braked may turn round twice
     assert np.max(np.abs(u[-100:])) < 0.25 * np.max(np.abs(u))
     assert np.max(np.abs(np.diff(u[-500:], axis=0))) < 1e-3
@@ -76,7 +65,7 @@ def test_exact_singularities_are_left(name, reaching):
     for rows in LOST[name]:
         constraint = ml.Constraint(np.eye(features.n_rows)[rows], features)
         assert np.linalg.svd(constraint(q), compute_uv=False)[-1] < 1e-9
-        goal = posture(constraint.robot, np.random.default_rng(8)) * 0.5
+        goal = inside(constraint.robot, np.random.default_rng(8)) * 0.5
         reaches = reaching and constraint.features.n_rows <= 3
         task = ml.PointAttractor(constraint.features.coordinates(goal), gain=1.0) if reaches else None
         law = ml.ResolvedRateController(constraint, task, ml.ManipulabilityAscent(constraint))
@@ -90,7 +79,7 @@ def test_a_circle_is_followed_at_speed(name):
     """At 100 Hz and 0.5 m/s a hand stays within 0.1 mm of a circle of 0.1 m; without c of the law 0.4 mm are left."""
     (robot, features), rng = arm_of(name), np.random.default_rng(0)
     constraint = ml.Constraint(np.eye(3), features)
-    draws = (posture(robot, rng) for _ in range(99))
+    draws = (inside(robot, rng) for _ in range(99))
     q = next(q for q in draws if np.linalg.svd(constraint(q), compute_uv=False)[-1] > 0.15)
     start = constraint.features.coordinates(q)
     circle = ml.Track(lambda t: start + 0.1 * np.array([np.cos(5.0 * t) - 1.0, np.sin(5.0 * t), 0.0]), gain=5.0)

@@ -12,8 +12,7 @@ from test_playback import data_in
 
 import manip_learn as ml
 from manip_learn.cli import main
-from manip_learn.commands.demo import SCENES, shipped_recordings
-from manip_learn.constraint.features import FrameJacobian
+from manip_learn.commands.demo import shipped_recordings
 
 WAYS = {
     "drawer": ("--along", "0.15"),
@@ -38,15 +37,6 @@ def run(capsys, monkeypatch, tmp_path):
 
 
 @pytest.fixture(scope="module")
-def shown(tmp_path_factory):
-    """Constraint file of the demo's drawer."""
-    scene, robot = SCENES["sawyer"], ml.load_robot("sawyer")
-    demos = ml.load_demonstrations(shipped_recordings() / scene.recordings, robot)
-    learner = ml.ConstraintLearner(FrameJacobian(robot, scene.frame)).fit(demos)
-    return learner.constraint_.save(tmp_path_factory.mktemp("shown") / "drawer.json")
-
-
-@pytest.fixture(scope="module")
 def file(tmp_path_factory):
     """Name of what was learnt -> robot, and its constraint file."""
     folder = tmp_path_factory.mktemp("learnt")
@@ -64,25 +54,8 @@ def test_a_way_is_done_as_far_as_was_asked(run, file):
         assert answer["wanted"] == float(way[1]) and answer["unit"] == ("m" if way[0] == "--along" else "deg")
         assert abs(answer["done"] - answer["wanted"]) < (1e-3 if answer["unit"] == "m" else 0.2), name
         assert 0.0 <= answer["deviation"] < 2e-3 and answer["fastest_joint"]["share_of_limit"] <= 1.0, name
-        assert answer["seconds"] > 0.0 and Path(answer["out"]) == Path(f"{name}.npz").resolve()
         r = ml.Rollout.load(answer["out"])
-        numbers = [r.manipulability.min(), r.manipulability.mean(), np.abs(r.u).max(), r.time[-1]]
-        keys = ("min_manipulability", "mean_manipulability", "max_velocity", "duration")
-        assert [answer[key] for key in keys] == numbers and answer["status_counts"] == r.status_counts, name
-
-
-def test_the_words_say_how_far(run, file):
-    """The first words are those of a person: opened, or pushed in by a hand that goes away from the base; how far."""
-    code, out, _err = run("control", *file("drawer"), "--along", "0.15", "--check")
-    said = "pushed in 0.150 of 0.150 m start: the first posture in which the task was shown"
-    assert code == 0 and out.startswith(said)
-    assert "note: as when the constraint was made: panda_finger_joint1 = 0, panda_finger_joint2 = 0 locked" in out
-    for name, way, said in (
-        ("drawer", ("--along", "-0.1"), "opened 0.100 of 0.100 m"),
-        ("door", ("--turn", "-30"), "opened 30.0 of 30.0 degrees"),
-        ("table", ("--along", "0.1", "--direction", "0,1,0"), "moved 0.100 of 0.100 m"),
-    ):
-        assert run("control", *file(name), *way)[1].startswith(said)
+        assert (answer["min_manipulability"], answer["duration"]) == (r.manipulability.min(), r.time[-1]), name
 
 
 def typed(**places):
@@ -118,11 +91,12 @@ def test_a_target_is_the_point(run, file):
     assert err == "" and answer["stopped_by"] is None and answer["unit"] == "deg"
 
 
-def test_nothing_named_does_what_was_shown(run, shown, tmp_path):
-    """The place of hold and the margin are told; the replay is written beside the rollout."""
-    start, page = "1.2,-1.57,0,0,0,0,0", tmp_path / "run.html"
-    code, out, _err = run("control", "sawyer", shown, "--start", start, "--html", str(page))
-    assert code == 0 and out.startswith("opened 0.2") and "took hold at (" in out and "margin" in out
+def test_by_default_the_hand_moves_as_far_as_demonstrated(run, file, tmp_path):
+    """The grasp position and the margin are printed; the replay is written beside the rollout."""
+    page = tmp_path / "run.html"
+    code, out, _err = run("control", *file("drawer"), "--start", "0,-0.3,0,-2,0,1.8,0.7", "--html", str(page))
+    assert code == 0 and out.startswith("opened 0.182 of 0.182 m") and "took hold at (" in out and "margin" in out
+    assert "note: as when the constraint was made: panda_finger_joint1 = 0, panda_finger_joint2 = 0 locked" in out
     assert data_in(page)["rollouts"] and str(page.name) in out
 
 
@@ -131,68 +105,32 @@ def test_nothing_named_does_what_was_shown(run, shown, tmp_path):
     [
         # on purpose, to different targets
         ("planar3", "planar3_reach", ("--frame", "tip", "--axes", "planar", "--velocities", "recorded")),
-        ("sawyer", "sawyer_door", ("--frame", "right_gripper_tip")),  # in the hand's own axes, which do not say how far
-        pytest.param("xarm7", "xarm7_drawer_then_table", ("--frame", "link_eef"), marks=pytest.mark.slow),  # two tasks
+        ("sawyer", "sawyer_door", ("--frame", "right_gripper_tip")),
     ],
 )
-def test_the_line_to_type_next_works(run, robot, recordings, options):
-    """What `learn` says last is done, word by word."""
-    code, out, _err = run("learn", robot, shipped_recordings() / recordings, *options, "--out", "task.json")
-    assert code == 0
+def test_the_printed_next_command_works(run, robot, recordings, options):
+    """The command that `learn` prints last runs as it is printed."""
+    _code, out, _err = run("learn", robot, shipped_recordings() / recordings, *options, "--out", "task.json")
     code, out, err = run(*out.split("next: manip-learn ")[1].split())
-    assert code == 0, err
-    done = ("at the target", "moved 0.100 of 0.100 m", "opened 10.0 of 10.0 degrees", "2 ways done as shown")
-    assert any(words in out for words in done)
-
-
-def test_a_hand_whose_joint_meets_its_limit_stays_on_the_line(run, shown):
-    """It stands within 2 mm of what holds it, and a sentence says what stops it."""
-    start = "0.0689,-1.6728,2.8072,-1.9042,2.4714,-0.0381,4.6725"
-    way = ("--along", "0.3", "--direction=-1,-0.5,0", "--keep-orientation", "--start", start)
-    for policy in ("zero", "manipulability"):
-        code, out, _err = run("control", "sawyer", shown, *way, f"--policy={policy}", "--json")
-        answer = json.loads(out)
-        assert code == 0 and answer["deviation"] <= 2e-3
-        assert answer["reached"] or answer["stopped_by"]
+    assert code == 0 and ("at the target" in out or "way done as shown" in out or "opened 10.0 of" in out), (out, err)
 
 
 def test_the_demo_shows_the_difference(run):
-    """From one start: as far as was shown with what was learnt, at most a third as far without; side by side. Of the
-    small robot too; or all the policies that its help names.
+    """From one start the learnt task goes as far as demonstrated, and at most a third as far without it, on one clock;
+    other robots and all policies that the help names can be asked for.
     """
     code, out, _err = run("demo", "--no-browser", "--json")
     answer = json.loads(out)
-    rollouts, page = answer["rollouts"], data_in(Path(answer["html"]))
-    assert code == 0 and list(rollouts) == ["without", "with"] and answer["constraint"]["n_constraints"] == 2
-    done = {name: rollout["done"] / rollout["wanted"] for name, rollout in rollouts.items()}
-    assert abs(rollouts["with"]["wanted"] - 0.232) < 1e-3  # the median that was shown
-    assert done["with"] >= 0.97 and done["without"] <= 1.0 / 3.0, done
-    assert rollouts["without"]["stopped_by"] and rollouts["with"]["stopped_by"] is None
-    assert rollouts["with"]["deviation"] < 1e-3 and rollouts["with"]["margin"] > 0.3
-    assert [pane["name"] for pane in page["panes"]] == ["without", "with"]
+    plain, learnt_ = (answer["rollouts"][name] for name in ("without", "with"))
+    assert code == 0 and abs(learnt_["wanted"] - 0.232) < 1e-3  # the median that was shown
+    assert learnt_["done"] >= 0.97 * learnt_["wanted"] and plain["done"] <= plain["wanted"] / 3.0
+    assert plain["stopped_by"] and learnt_["stopped_by"] is None and learnt_["deviation"] < 1e-3
+    page = data_in(Path(answer["html"]))
     grasps = [r["phases"][-1][0] if r["phases"] else page["zero"] for r in page["rollouts"]]
     assert grasps == pytest.approx([page["zero"]] * 2, abs=0.02)  # one clock from the grasp
-    policies = ["manipulability", "attractor", "zero"]
     for more, names in (
-        (["--all-policies"], ["plan", *policies]),
+        (["--all-policies"], ["plan", "manipulability", "attractor", "zero"]),
         (["--robot", "planar3"], ["without", "with"]),
-        (["--robot", "planar3", "--all-policies"], policies),
     ):
-        code, out, _err = run("demo", "--no-browser", "--out", "here", *more)
-        assert code == 0 and all(f" {name} " in f" {out} " for name in names)
+        assert run("demo", "--no-browser", "--out", "here", *more)[0] == 0
         assert [rollout["name"] for rollout in data_in(Path("here/replay.html"))["rollouts"]] == names
-    assert "a plan and the policies manipulability, attractor and zero" in run("demo", "--help")[1]
-
-
-def test_a_plan_on_the_command_line(run, shown):
-    """Its answer says what limits it; without a way it is as far as was shown."""
-    way = ("control", "sawyer", shown, "--along", "0.2", "--direction", "shown")
-    code, out, _err = run(*way, "--plan", "--explain", "--out", "run.npz")
-    assert code == 0 and out.startswith("opened 0.200 of 0.200 m")
-    assert "plan: take hold" in out and "margin" in out and " mm from what holds it" not in out
-    rollout = ml.Rollout.load("run.npz", ml.load_robot("sawyer"))
-    assert [name for name, _, _ in rollout.phases] == ["approach", "way"] and 0.0 < rollout.ways[0]["margin"] < 1.0
-    code, out, _err = run("control", "sawyer", shown, "--json")
-    assert code == 0 and json.loads(out)["wanted"] == pytest.approx(
-        ml.Constraint.load(shown, ml.load_robot("sawyer")).shown.extent
-    )

@@ -4,16 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from servo_cases import Arm
 
 import manip_learn as ml
 from manip_learn.errors import ConfigurationError
 
 DT = 0.01
-
-
-@pytest.fixture(scope="module")
-def panda() -> ml.Robot:
-    return ml.load_robot("panda", locked=("panda_finger_joint1", "panda_finger_joint2"))
 
 
 def swaying(robot: ml.Robot, rng: np.random.Generator, duration: float, period: float = 0.01) -> ml.Trajectory:
@@ -25,12 +21,10 @@ def swaying(robot: ml.Robot, rng: np.random.Generator, duration: float, period: 
     return ml.Trajectory(time, q, None, robot.joint_names)
 
 
-def play(
-    robot: ml.Robot, motion: ml.Trajectory, seconds: float, dt: float = DT, **limits
-) -> tuple[ml.ServoLoop, ml.Rollout]:
-    """Played from its first posture."""
-    loop = ml.ServoLoop(ml.FollowMotion(robot, motion, ml.Limits(robot, **limits)), dt)
-    return loop, ml.simulate(robot, loop, motion.q[0], seconds, dt)
+def play(robot: ml.Robot, motion: ml.Trajectory, seconds: float, **limits) -> tuple[ml.ServoLoop, ml.Rollout]:
+    """Play a motion from its first posture."""
+    loop = ml.ServoLoop(ml.FollowMotion(robot, motion, ml.Limits(robot, **limits)), DT)
+    return loop, ml.simulate(robot, loop, motion.q[0], seconds, DT)
 
 
 def kept(limits: ml.Limits, u: np.ndarray, period: float) -> bool:
@@ -87,9 +81,8 @@ def test_tip_limit_slows_the_clock_and_keeps_the_path(panda):
     radius = np.linalg.norm(panda.jacobian(q[0], "panda_hand_tcp")[:3, 0])
     half = 0.5 * radius * 1.2 * np.pi / 8.0  # of its largest speed [m/s]
     loop, played = play(panda, motion, 12.0, tip_speed=half, frames="panda_hand_tcp")
-    speeds = [
-        np.linalg.norm(panda.jacobian(x, "panda_hand_tcp")[:3] @ u) for x, u in zip(played.q, played.u, strict=True)
-    ]
+    states = zip(played.q, played.u, strict=True)
+    speeds = [np.linalg.norm(panda.jacobian(x, "panda_hand_tcp")[:3] @ u) for x, u in states]
     assert max(speeds) < 1.001 * half and loop.controller.delay > 0.5
     assert np.max(np.abs(played.q[:, 1:] - q[0, 1:])) < 1e-5  # only the first joint moved
     assert abs(played.q[-1, 0] - turn[-1]) < 1e-6
@@ -98,19 +91,15 @@ def test_tip_limit_slows_the_clock_and_keeps_the_path(panda):
 def test_goes_on_after_a_stop(panda):
     """While the loop is stopped the motion waits, and goes on from where it was: no joint hurries after it."""
     motion = swaying(panda, np.random.default_rng(6), 4.0)
-    loop = ml.ServoLoop(ml.FollowMotion(panda, motion), DT)
-    loop.reset(motion.q[0])
-    q, fastest = motion.q[0], 0.0
-    for k in range(800):
-        if k == 100:
-            loop.stop()
-        if k == 300:
-            loop.start()
-        u = loop.update(q, DT * k).velocity
-        q = q + DT * u
-        fastest = max(fastest, float(np.max(np.abs(u))) if k > 310 else 0.0)
+    arm = Arm(ml.ServoLoop(ml.FollowMotion(panda, motion), DT), motion.q[0])
+    arm.loop.reset(motion.q[0])
+    arm.calls(100)
+    arm.loop.stop()
+    arm.calls(200)
+    arm.loop.start()
+    fastest = max(np.max(np.abs(command.velocity)) for command in arm.calls(500)[11:])
     natural = float(np.max(np.abs(np.diff(motion.q, axis=0)))) / 0.01
-    assert fastest < 1.5 * natural and np.max(np.abs(q - motion.q[-1])) < 1e-6
+    assert fastest < 1.5 * natural and np.max(np.abs(arm.q - motion.q[-1])) < 1e-6
 
 
 def test_joints_that_turn_for_ever_and_other_orders():

@@ -8,52 +8,31 @@ from itertools import product
 import numpy as np
 import pytest
 from conftest import tip_of
-from random_arms import Asks
+from random_arms import Asks, inside, oblique
 from scipy.optimize import lsq_linear, nnls
 
 import manip_learn as ml
-from manip_learn.constraint.manipulability import smallest_gradient
-from manip_learn.control.barriers import approach_bound
 from manip_learn.control.law import ACROSS, ALONG, nearest_within
 from manip_learn.control.limits import Bounds
-from manip_learn.control.policies import (
-    JointAttractor,
-    JointLimitAvoidance,
-    ManipulabilityAscent,
-    NullSpacePolicy,
-    SampledPolicy,
-)
+from manip_learn.control.policies import SampledPolicy
 from manip_learn.control.simulation import simulate_way
 
 DT = 0.01
 ARMS = ["planar3", "sawyer", "kinova", "gantry", "tree", "wrist"]
-Policies = Callable[[ml.Robot, ml.Constraint], NullSpacePolicy | None]
+Policies = Callable[[ml.Robot, ml.Constraint], ml.NullSpacePolicy | None]
 POLICIES: dict[str, Policies] = {
     "none": lambda robot, rows: None,
-    "ascent": lambda robot, rows: ManipulabilityAscent(rows),
-    "raw ascent": lambda robot, rows: ManipulabilityAscent(rows, logarithmic=False),
-    "rest": lambda robot, rows: JointAttractor(robot.neutral(), robot=robot),
-    "middle": lambda robot, rows: JointLimitAvoidance(robot),
+    "ascent": lambda robot, rows: ml.ManipulabilityAscent(rows),
+    "raw ascent": lambda robot, rows: ml.ManipulabilityAscent(rows, logarithmic=False),
+    "rest": lambda robot, rows: ml.JointAttractor(robot.neutral(), robot=robot),
+    "middle": lambda robot, rows: ml.JointLimitAvoidance(robot),
     "lambda": lambda robot, rows: lambda q, t: np.full(robot.nv, 0.1),  # type: ignore[return-value]
 }
 
 
-def velocity_of(policy: NullSpacePolicy, q: np.ndarray) -> np.ndarray:
+def velocity_of(policy: ml.NullSpacePolicy, q: np.ndarray) -> np.ndarray:
     """What the policy asks for, held for DT."""
     return policy(q, 0.0, DT) if isinstance(policy, SampledPolicy) else policy(q, 0.0)
-
-
-def rows_of(robot: ml.Robot, name: str, axes: str, s: int, rng: np.random.Generator) -> ml.Constraint:
-    """Rows in no axis's direction, of unit length."""
-    features = ml.FrameJacobian(robot, tip_of(name), axes)
-    p = features.n_rows
-    return ml.Constraint(np.linalg.qr(rng.normal(size=(p, p)))[0][:s], features)
-
-
-def inside(robot: ml.Robot, rng: np.random.Generator, share: float = 0.9) -> np.ndarray:
-    """A posture within the limits."""
-    low, high = np.maximum(robot.position_lower, -3.0), np.minimum(robot.position_upper, 3.0)
-    return 0.5 * (low + high) + 0.5 * share * (high - low) * rng.uniform(-1.0, 1.0, robot.nv)
 
 
 @pytest.mark.parametrize(("name", "kind"), list(zip(ARMS, POLICIES, strict=True)))
@@ -62,7 +41,8 @@ def test_equation_2_where_nothing_binds(name, kind, robot_of, rng):
     robot, compared = robot_of(name), 0
     for axes, inverse, limits in product(("x y", "xyz", "pose"), ("damped", "exact", "truncated"), (True, False)):
         for s in (1, 2, 3):
-            rows, q = rows_of(robot, name, axes, min(s, 2 if axes == "x y" else 3), rng), inside(robot, rng)
+            features = ml.FrameJacobian(robot, tip_of(name), axes)
+            rows, q = oblique(features, min(s, 2 if axes == "x y" else 3), rng), inside(robot, rng, 0.9)
             b = 0.02 * rng.normal(size=rows.n_constraints)
             policy = POLICIES[kind](robot, rows)
             command = ml.ResolvedRateController(rows, Asks(b), policy, inverse, limits=limits, dt=DT)(q)
@@ -140,11 +120,12 @@ def test_the_command_solves_the_program_of_the_docstring(name, robot_of, rng):
     """Held rows weigh 1 / ACROSS^2, the speed along the way 1 / ALONG^2, the policy 1: SciPy's minimum in the box."""
     robot, compared = robot_of(name), 0
     for _ in range(60):
-        rows, q = rows_of(robot, name, "xyz", 2, rng), inside(robot, rng, 0.98)
+        rows = oblique(ml.FrameJacobian(robot, tip_of(name), "xyz"), 2, rng)
+        q = inside(robot, rng, 0.98)
         A = rows(q)
-        if np.linalg.svd(A, compute_uv=False)[-1] < 0.15:
+        if np.linalg.svd(A, compute_uv=False)[-1] < 0.3:  # nearer, the approach to the singularity has its own bound
             continue
-        task, policy = Asks(0.05 * rng.normal(size=2)), JointAttractor(robot.neutral(), 2.0, robot=robot)
+        task, policy = Asks(0.05 * rng.normal(size=2)), ml.JointAttractor(robot.neutral(), 2.0, robot=robot)
         law = ml.ResolvedRateController(rows, task, policy, dt=DT)
         previous = 0.1 * np.minimum(robot.velocity_limit, 3.0) * rng.uniform(-1.0, 1.0, robot.nv)
         assert law.limits is not None
@@ -154,11 +135,7 @@ def test_the_command_solves_the_program_of_the_docstring(name, robot_of, rng):
         drive, w = X @ task.b, velocity_of(policy, q)
         wish = drive + w - X @ (A @ w)
         wish -= X @ ((rows(robot.integrate(q, 0.5 * DT * previous)) - A) @ previous)
-        A, vjp = rows.value_and_vjp(q)
-        slope = smallest_gradient(np.linalg.svd(A), vjp)
-        smallest = float(np.linalg.svd(A, compute_uv=False)[-1])
-        presses = -float(slope @ wish) > approach_bound(smallest, slope, law.limits.acceleration, DT)
-        if presses or bounds.admit(wish) or np.any(np.abs(drive) > law.limits.velocity):
+        if bounds.admit(wish) or np.any(np.abs(drive) > law.limits.velocity):
             continue
         d = task.b / np.linalg.norm(task.b)
         weighed = np.vstack(((A - np.outer(d, d @ A)) / ACROSS, (d @ A)[None] / ALONG, np.eye(robot.nv)))
@@ -183,20 +160,9 @@ def test_a_joint_at_its_limit_pulls_no_hand_off_its_rail(climbs):
     robot = ml.load_robot("xarm7")
     start, rows = [3.302, -1.7578, 0.2082, 3.0665, 5.0783, 1.7292, 0.1807], rail(robot)
     task = ml.FreeDirection(rows, -0.5, 0.1)
-    climb = ManipulabilityAscent(rows if climbs == "held" else task.constraint)
+    climb = ml.ManipulabilityAscent(rows if climbs == "held" else task.constraint)
     law = ml.ResolvedRateController(rows, task, climb, dt=DT)
     rollout, way = simulate_way(robot, law, start, DT)
     places = np.array([robot.position(q, "link_eef") for q in rollout.q])
     assert float(np.max(np.linalg.norm(places[:, 1:] - places[0, 1:], axis=1))) <= 5e-4
     assert way.deviation <= 5e-4 and abs(way.done) > 0.2
-
-
-def test_more_rows_than_joints_are_no_error(robot_of):
-    """Every posture is singular then: the command is finite, within limits, and says so where b does not fit."""
-    rows = ml.Constraint(np.eye(6)[:4], ml.FrameJacobian(robot_of("planar3"), "tip", "pose"))
-    q = np.array([0.1, 0.5, 0.2])
-    A = rows(q)
-    for b, word in ((np.array([0.1, 0.0, 0.3, 0.0]), "singular"), (0.1 * A @ np.array([0.2, -0.1, 0.3]), "damped")):
-        command = ml.ResolvedRateController(rows, Asks(b), ManipulabilityAscent(rows))(q)
-        assert np.all(np.isfinite(command.velocity)) and command.manipulability == 0.0
-        assert command.status == word

@@ -14,8 +14,6 @@ from test_driver import loop_of
 import manip_learn as ml
 from manip_learn.errors import ConfigurationError
 
-# ---- A LeRobot robot as a driver: motors to joints and back, what is never sent, and how runs end ----
-
 START = np.array([0.3, 0.8, 0.4])
 PERIOD = 0.01  # [s]
 STEPS = 4096  # of an encoder per turn
@@ -32,16 +30,11 @@ class Arm:
         self.action_features = {f"{motor}.pos": float for motor in motors}
         self.observation_features: dict[str, Any] = {**self.action_features, "front": (480, 640, 3)}
         self.config, self.calibration = SimpleNamespace(use_degrees=True), {}
-        self.torque: list[Any] = []
-        self.order: list[str] = []  # of what changes the motors
+        self.order: list[Any] = []  # of what changes the motors
         self.bus: Any = SimpleNamespace(
-            enable_torque=lambda motors: self._switched("on", motors),
-            disable_torque=lambda motors: self._switched("off", motors),
+            enable_torque=lambda motors: self.order.append(("on", motors)),
+            disable_torque=lambda motors: self.order.append(("off", motors)),
         )
-
-    def _switched(self, how: str, motors: Any) -> None:
-        self.torque.append((how, motors))
-        self.order.append(how)
 
     def get_observation(self) -> dict[str, Any]:
         """Positions, and a picture that nobody needs."""
@@ -103,14 +96,12 @@ def test_a_gripper_among_the_others_shuts_and_opens(planar3):
     """0 is shut and 100 open, as LeRobot calibrates it; other motors stay where they were."""
     arm = in_units(Arm(), "degrees")
     driver = driver_of(arm, planar3)
-    for word, position in (("close", 0.0), ("open", 100.0)):
+    percent = "range_0_100"
+    for word, unit, position in (("close", percent, 0.0), ("open", percent, 100.0), ("close", "degrees", 100.0)):
+        arm.bus.motors["gripper"].norm_mode = SimpleNamespace(value=unit)
         driver.gripper(word)
         driver.command(START, np.zeros(3))
         assert arm.sent[-1]["gripper.pos"] == position
-    arm.bus.motors["gripper"].norm_mode = SimpleNamespace(value="degrees")
-    driver.gripper("close")
-    driver.command(START, np.zeros(3))
-    assert arm.sent[-1]["gripper.pos"] == 100.0
 
 
 def test_spans_without_calibration():
@@ -207,15 +198,9 @@ def test_nothing_outside_the_ranges_is_sent(calibrated, planar3):
 def test_readings_that_are_no_numbers(value, planar3):
     """A motor that is not reported, or not as a number, brakes the arm with its name."""
     arm = Arm()
-    loop, driver = loop_of(planar3, PERIOD), driver_of(arm, planar3)
-    get = arm.get_observation
-
-    def observe() -> dict[str, Any]:
-        seen = get()
-        return seen | {"joint2.pos": value} if arm.observed > 20 else seen
-
-    arm.get_observation = observe  # type: ignore[method-assign]
-    record = ml.run(loop, driver, 2.0)
+    driver, get = driver_of(arm, planar3), arm.get_observation
+    arm.get_observation = lambda: get() | ({"joint2.pos": value} if arm.observed > 20 else {})  # type: ignore[method-assign]
+    record = ml.run(loop_of(planar3, PERIOD), driver, 2.0)
     assert "position of motor joint2, which is not a finite number" in record.ended and not record.rollout.u[-1].any()
     arm.observed = 0
     del arm.values["gripper"]
@@ -272,8 +257,8 @@ def test_release_and_hold(planar3):
     arm.values |= {"joint1": 12.0}
     driver.hold()
     joints = ["joint1", "joint2", "joint3"]
-    assert arm.torque == [("off", joints), ("on", joints)]
-    assert arm.order == ["off", "goals", "on"]  # torque before goals would throw the arm to where it was sent before
+    # torque before goals would throw the arm to where it was sent before
+    assert arm.order == [("off", joints), "goals", ("on", joints)]
     assert arm.sent[-1]["joint1.pos"] == 12.0 and arm.sent[-1]["gripper.pos"] == 37.5
     arm.bus, done = None, []
     with pytest.raises(ConfigurationError, match=r"no disable_torque\(\).*lerobot-teleoperate"):

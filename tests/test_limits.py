@@ -11,7 +11,6 @@ from servo_cases import Arm, Constantly
 
 import manip_learn as ml
 from manip_learn.control.barriers import approach_bound
-from manip_learn.control.joint_motion import JointMotion, every_joint
 from manip_learn.errors import ConfigurationError, ManipLearnError, UnknownNameError
 
 TIP, SPEED, DT = "right_gripper_tip", 0.25, 0.002
@@ -19,33 +18,7 @@ CLEARANCE, SLACK = 0.005, 1e-4  # [m]
 BENT = np.array([0.3, -0.6, 0.2, 0.9, 0.1, 0.5, 0.0])
 
 
-@pytest.fixture
-def sawyer(robot_of):
-    return robot_of("sawyer")
-
-
 # ---- joints ----
-
-
-@pytest.mark.parametrize(("name", "dt"), list(product(("sawyer", "gantry", "kinova"), (1e-4, 1e-3, 0.01, 0.05))))
-def test_greedy_motion_keeps_every_limit(name, dt, robot_of, rng):
-    """A joint that always takes an extreme of its bounds meets no limit of position, velocity or acceleration."""
-    robot = robot_of(name)
-    limits = ml.Limits(robot)
-    low = np.where(np.isfinite(robot.position_lower), robot.position_lower, -3.0)
-    high = np.where(np.isfinite(robot.position_upper), robot.position_upper, 3.0)
-    q, u = rng.uniform(low, high), np.zeros(robot.nv)
-    for step in range(600):
-        if step % 100 == 0:
-            sense = rng.choice([-1.0, 1.0], robot.nv)
-        bounds = limits.bounds(q, dt, u)
-        lowest, highest = np.array(bounds.low), np.array(bounds.high)
-        assert np.all(lowest <= highest)
-        following = np.where(sense > 0.0, highest, lowest)
-        assert np.all(np.abs(following - u) <= limits.acceleration * dt * (1.0 + 1e-12))
-        assert np.all(np.abs(following) <= limits.velocity * (1.0 + 1e-12))
-        q, u = q + dt * following, following
-        assert np.all(q <= robot.position_upper + 1e-12) and np.all(q >= robot.position_lower - 1e-12)
 
 
 def braking(d: float, v: float, a: float, dt: float) -> float:
@@ -156,9 +129,8 @@ def test_no_frame_is_faster(axes, frames, sawyer, rng):
         task = ml.PointAttractor(sawyer.position(aim, TIP) if axes == "xyz" else sawyer.pose(aim, TIP), gain=5.0)
         most = []
         for limits in (ml.Limits(sawyer, tip_speed=SPEED, frames=frames), True):
-            arm = Arm(
-                ml.ServoLoop(ml.ResolvedRateController(rows, task, ml.ManipulabilityAscent(rows), limits=limits), DT), q
-            )
+            law = ml.ResolvedRateController(rows, task, ml.ManipulabilityAscent(rows), limits=limits)
+            arm = Arm(ml.ServoLoop(law, DT), q)
             speeds = [
                 [np.linalg.norm(sawyer.jacobian(at, frame)[:3] @ arm.last) for frame in frames]
                 for at, _ in ((arm.q, arm.call()) for _ in range(600))
@@ -197,23 +169,6 @@ def test_an_oblique_wall_and_a_start_beyond_it(sawyer):
     rollout = ml.simulate(sawyer, law, BENT, 1.5, DT)
     behind = [(n @ sawyer.position(x, TIP) - wall[3]) / np.linalg.norm(n) for x in rollout.q]
     assert behind[0] == pytest.approx(0.02) and abs(behind[-1]) < 1e-3
-
-
-def test_a_motion_of_the_joints_takes_the_time_that_the_tip_needs(sawyer, rng):
-    """From posture to posture the tip keeps its speed and the joints their straight lines, which are clear."""
-    knots = np.cumsum([BENT, *rng.uniform(-0.3, 0.3, (2, 7))], axis=0)
-    limits = ml.Limits(sawyer).with_tip_speed(0.1, [TIP])
-    task = JointMotion(limits, knots)
-    law = ml.ResolvedRateController(every_joint(sawyer), task, limits=limits)
-    rollout = ml.simulate(sawyer, law, knots[0], task.duration + 0.1, 0.01)
-    places = np.array([sawyer.position(q, TIP) for q in rollout.q])
-    assert 0.09 < np.linalg.norm(np.diff(places, axis=0), axis=1).max() / 0.01 <= 0.1
-    away = np.full(len(rollout), np.inf)  # from the straight lines
-    for a, d in zip(knots[:-1], np.diff(knots, axis=0), strict=True):
-        share = np.clip((rollout.q - a) @ d / (d @ d), 0.0, 1.0)
-        away = np.minimum(away, np.linalg.norm(rollout.q - a - share[:, None] * d, axis=1))
-    assert away.max() < 1e-3 and np.linalg.norm(rollout.q[-1] - knots[-1]) < 1e-3
-    assert JointMotion(ml.Limits(sawyer), knots).duration < 0.5 * task.duration
 
 
 # ---- links, and what stands around ----

@@ -10,12 +10,12 @@ import pinocchio as pin
 import pytest
 from case import case
 from peak_memory import peak_megabytes
-from urdf_corpus import ARM, OBJ, dae, stl
+from urdf_corpus import OBJ, dae, edited, stl
 
 from manip_learn.errors import RobotError
 from manip_learn.robot.description.catalogue import example_package_dir, example_robots
 from manip_learn.robot.loading import load_robot
-from manip_learn.robot.visuals.meshes import GREY, Mesh, by_colour, find_mesh, mesh_roots, read_meshes
+from manip_learn.robot.visuals.meshes import GREY, Mesh, find_mesh, mesh_roots, read_meshes
 from manip_learn.robot.visuals.visual_shapes import Solid, resolve_meshes, visual_shapes
 
 # ---- Mesh files: found inside the robot's folders only, examined before they are parsed ----
@@ -211,26 +211,6 @@ def test_each_part_of_a_mesh_has_its_colour(tmp_path):
                 continue
             seen = {int(mesh.vertices[f[0], 0]): tuple(c) for f, c in zip(mesh.faces, mesh.colours, strict=True)}
             assert seen == colours
-            parts = {tuple(colour): sorted(part.vertices[part.faces[:, 0], 0]) for colour, part in by_colour(mesh)}
-            assert parts == {c: [x for x in places if colours[x] == c] for c in set(colours.values())}
-
-
-def test_colours_in_an_obj_file_and_too_many(tmp_path):
-    """Colours of vertices are in the file itself; a material of another file is not opened. Of more colours than can be
-    drawn one by one a mesh has none.
-    """
-    path = write(tmp_path / "a.obj", b"mtllib b.mtl\nusemtl m\nv 0 0 0 1 0 0\nv 1 0 0 1 0 0\nv 0 1 0 1 0 0\nf 1 2 3\n")
-    os.mkfifo(tmp_path / "b.mtl")  # would hang
-    np.testing.assert_array_equal(read_meshes([path])[path].colours, [(1.0, 0.0, 0.0, 1.0)])
-    path.write_bytes(b"mtllib b.mtl\nusemtl m\nv 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 0 1\nf 1/1 2/2 3/3\n")
-    assert read_meshes([path])[path].colours is None
-    text = painted("<color>1 0 0</color>", 0).decode()
-    library = "".join(PAINTED.format(n, f"<color>0 {n / 99} 0</color>") for n in range(3, 99))
-    nodes = "".join(BOUND.format(n, n) for n in range(3, 99))
-    path = write(tmp_path / "a.dae", text.replace("<library_geometries>", library + "<library_geometries>").encode())
-    path.write_text(path.read_text().replace("</visual_scene>", f"{nodes}</visual_scene>"), encoding="utf-8")
-    mesh = read_meshes([path])[path]
-    assert len(mesh.faces) == 97 and mesh.colours is None
 
 
 def test_too_large_files_and_pipes_are_not_read(tmp_path):
@@ -244,17 +224,12 @@ def test_too_large_files_and_pipes_are_not_read(tmp_path):
 
 # ---- Shapes to draw: where the file puts them, or why there are none ----
 
-TIP = '<link name="tip"/>'
-
 
 def arm_with(tmp_path, visuals: str, head: str = ""):
     """The two-joint arm with something on its tip."""
     path = tmp_path / "urdf" / "arm.urdf"
     path.parent.mkdir(exist_ok=True)
-    text = ARM.replace(TIP, f'<link name="tip">{visuals}</link>').replace(
-        '<link name="base"/>', f'{head}<link name="base"/>'
-    )
-    path.write_text(text, encoding="utf-8")
+    path.write_bytes(edited(('<link name="tip"/>', f'<link name="tip">{visuals}</link>'), ("<link", f"{head}<link")))
     return load_robot(path)
 
 
@@ -280,9 +255,8 @@ def test_shapes_are_where_pinocchio_has_them(name):
     """Joint and placement agree with Pinocchio's own geometry reader."""
     robot = load_robot(name)
     model = robot.pinocchio_model
-    geometry = pin.buildGeomFromUrdf(
-        model, str(example_robots()[name]), pin.GeometryType.VISUAL, package_dirs=[str(example_package_dir())]
-    )
+    path, folders = str(example_robots()[name]), [str(example_package_dir())]
+    geometry = pin.buildGeomFromUrdf(model, path, pin.GeometryType.VISUAL, package_dirs=folders)
     theirs = sorted((g.parentJoint, *g.placement.homogeneous.round(6).ravel()) for g in geometry.geometryObjects)
     visuals = visual_shapes(robot)
     ours = sorted((v.joint, *v.placement.round(6).ravel()) for v in visuals)
@@ -295,14 +269,11 @@ def test_scale_and_mirror(tmp_path):
     (tmp_path / "meshes").mkdir()
     (tmp_path / "meshes" / "a.stl").write_bytes(stl())
     mesh = '<visual><geometry><mesh filename="../meshes/a.stl" scale="{}"/></geometry></visual>'
-    plain, mirrored = visual_shapes(arm_with(tmp_path, mesh.format("2 3 4") + mesh.format("-2 3 4")))
-    assert isinstance(plain.shape, Mesh) and isinstance(mirrored.shape, Mesh)
-    np.testing.assert_array_equal(plain.shape.vertices.max(axis=0), [2, 3, 0])
-    np.testing.assert_array_equal(mirrored.shape.vertices.min(axis=0), [-2, 0, 0])
-    normals = [
-        np.cross(t[1] - t[0], t[2] - t[0])[2] for t in (s.shape.vertices[s.shape.faces[0]] for s in (plain, mirrored))
-    ]
-    assert min(normals) > 0
+    robot = arm_with(tmp_path, mesh.format("2 3 4") + mesh.format("-2 3 4"))
+    for shape, corner in zip(visual_shapes(robot), (2, -2), strict=True):
+        a, b, c = shape.shape.vertices[shape.shape.faces[0]]
+        assert np.cross(b - a, c - a)[2] > 0.0
+        assert {tuple(vertex) for vertex in (a, b, c)} == {(0, 0, 0), (corner, 0, 0), (0, 3, 0)}
 
 
 @pytest.mark.parametrize(
@@ -321,10 +292,3 @@ def test_what_cannot_be_drawn_has_a_fault(geometry, words, tmp_path):
     if "gone" in visual:
         found, missing = resolve_meshes(robot)
         assert list(missing) == ["package://gone/a.stl"] and not found
-
-
-def test_a_robot_without_visuals_has_its_links(tmp_path):
-    """Each with the joint that carries it, and the reason why nothing is drawn."""
-    visuals = visual_shapes(arm_with(tmp_path, ""))
-    assert {v.link: v.joint for v in visuals} == {"base": 0, "upper": 1, "tip": 2}
-    assert all(v.shape is None and v.fault == "the robot has no visuals" for v in visuals)

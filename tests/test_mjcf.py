@@ -84,16 +84,6 @@ def test_every_body_is_where_mujoco_puts_it(tmp_path, rng, name):
             np.testing.assert_allclose(pose[:3, :3].ravel(), data.body(link).xmat, atol=1e-12)
 
 
-def test_only_angles_are_in_degrees(tmp_path):
-    """The range of a hinge is converted, that of a slide is metres; without a range there is no limit."""
-    inside = '<joint name="h" range="-90 45"/><joint name="s" type="slide" range="0 0.2"/><joint name="free"/>'
-    robot = load(tmp_path, mjcf(body("a", "", inside), head=""))
-    assert robot.joint_names == ("h", "s", "free")
-    np.testing.assert_allclose(robot.position_lower, [-np.pi / 2, 0, -np.inf])
-    np.testing.assert_allclose(robot.position_upper, [np.pi / 4, 0.2, np.inf])
-    assert np.isinf(robot.velocity_limit).all()
-
-
 def test_linear_couplings_become_mimic_joints(tmp_path, rng):
     """A coupled joint follows, counted from both reference values, as in MuJoCo's equation."""
     inside = '<joint name="j" ref="0.2"/>' + body("b", "", '<joint name="k" ref="0.1"/>')
@@ -110,13 +100,15 @@ def test_linear_couplings_become_mimic_joints(tmp_path, rng):
 @pytest.mark.parametrize("range_", ["0 0", "1 0", "1 1", "0 1", "-2 2"])
 @pytest.mark.parametrize("limited", ["", 'limited="auto"', 'limited="false"'])
 def test_limits_are_those_of_mujoco(tmp_path, range_, limited):
-    """A range is a limit where MuJoCo's compiler makes one of it."""
+    """A range is a limit where MuJoCo's compiler makes one of it; that of a hinge may be in degrees, a slide's not."""
     mujoco = pytest.importorskip("mujoco")
-    head = RADIAN + '<default><joint range="-1 1"/></default>'
-    text = mjcf(body("a", "", f'<joint name="j" {limited} range="{range_}"/>'), head)
-    model, robot = mujoco.MjModel.from_xml_string(text), load(tmp_path, text)
-    expected = model.jnt_range[0] if model.jnt_limited[0] else (-np.inf, np.inf)
-    assert (robot.position_lower[0], robot.position_upper[0]) == tuple(expected)
+    for head, kind in ((RADIAN, "hinge"), ("", "hinge"), ("", "slide")):
+        default = '<default><joint range="-1 1"/></default>'
+        text = mjcf(body("a", "", f'<joint name="j" type="{kind}" {limited} range="{range_}"/>'), head + default)
+        model, robot = mujoco.MjModel.from_xml_string(text), load(tmp_path, text)
+        expected = model.jnt_range[0] if model.jnt_limited[0] else (-np.inf, np.inf)
+        np.testing.assert_allclose((robot.position_lower[0], robot.position_upper[0]), expected, rtol=1e-15)
+        assert np.isinf(robot.velocity_limit[0])
     is_odd = range_ in ("1 0", "1 1") and limited != 'limited="false"'
     assert any("is ignored, as in MuJoCo" in w for w in robot.warnings) == is_odd
 

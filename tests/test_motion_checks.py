@@ -12,19 +12,12 @@ import pytest
 from case import case
 from jaxtyping import Float
 
+import manip_learn as ml
 from manip_learn.errors import RecordingError
-from manip_learn.recordings import load_demonstrations
 from manip_learn.recordings.checks import alternation
-from manip_learn.recordings.trajectory import Demonstrations
-from manip_learn.robot import Robot, load_robot
 
 
-@pytest.fixture(scope="module")
-def sawyer() -> Robot:
-    return load_robot("sawyer")
-
-
-def guided(robot: Robot, rng: np.random.Generator, n: int = 400, dt: float = 0.05) -> tuple[np.ndarray, ...]:
+def guided(robot: ml.Robot, rng: np.random.Generator, n: int = 400, dt: float = 0.05) -> tuple[np.ndarray, ...]:
     """A motion as of a guided arm: smooth, inside the limits, jittering stamps, encoder noise."""
     time = np.cumsum(dt * rng.uniform(0.3, 1.7, n))
     lower, upper = np.maximum(robot.position_lower, -3.0), np.minimum(robot.position_upper, 3.0)
@@ -34,11 +27,11 @@ def guided(robot: Robot, rng: np.random.Generator, n: int = 400, dt: float = 0.0
     return time, q, half * rate * np.cos(rate * time[:, None] + phase)
 
 
-def load(robot: Robot, folder: Path, time: Any, q: Any, u: Any = None, more="", **options: Any) -> Demonstrations:
+def load(robot: ml.Robot, folder: Path, time: Any, q: Any, u: Any = None, more="", **options: Any) -> ml.Demonstrations:
     arrays = {"time": time, "q": q, "joint_names": np.array([*robot.joint_names, more][: np.shape(q)[1]])}
     arrays |= {"effort": options.pop("effort")} if "effort" in options else {}
     np.savez(folder / "demo.npz", **arrays | ({} if u is None else {"u": u}))
-    return load_demonstrations(folder / "demo.npz", robot, **options)
+    return ml.load_demonstrations(folder / "demo.npz", robot, **options)
 
 
 def refused(*arguments: Any, **options: Any) -> RecordingError:
@@ -47,7 +40,7 @@ def refused(*arguments: Any, **options: Any) -> RecordingError:
     return caught.value
 
 
-def test_guided_motions_pass_without_a_word(sawyer: Robot, rng: np.random.Generator, tmp_path: Path) -> None:
+def test_guided_motions_pass_without_a_word(sawyer: ml.Robot, rng: np.random.Generator, tmp_path: Path) -> None:
     """Jitter, noise and quantisation of real recordings are no faults, with and without velocities."""
     for _ in range(8):
         time, q, u = guided(sawyer, rng)
@@ -57,18 +50,7 @@ def test_guided_motions_pass_without_a_word(sawyer: Robot, rng: np.random.Genera
     assert load(sawyer, tmp_path, time, q, u).notes == ()
 
 
-def test_degrees_are_always_caught(sawyer: Robot, rng: np.random.Generator, tmp_path: Path) -> None:
-    """By the limits, without velocities; with the way out, which gives the radians back."""
-    for _ in range(8):
-        time, q, u = guided(sawyer, rng)
-        assert refused(sawyer, tmp_path, time, np.degrees(q)).code == "degrees"
-    demos = load(sawyer, tmp_path, time, np.degrees(q), np.degrees(u), degrees=True)
-    np.testing.assert_allclose(demos[0].q, q, rtol=1e-12)
-    np.testing.assert_allclose(demos[0].u, u, rtol=1e-12)
-    assert demos.notes == ("demo.npz: degrees converted to radians, as asked",)
-
-
-def test_a_little_beyond_the_limits_is_a_note(sawyer: Robot, rng, tmp_path: Path) -> None:
+def test_a_little_beyond_the_limits_is_a_note(sawyer: ml.Robot, rng, tmp_path: Path) -> None:
     """An excess of two degrees is accepted with a note; twelve degrees are rejected, unless the caller allows it."""
     time, q, u = guided(sawyer, rng)
     q[:, 0] += sawyer.position_upper[0] + 0.035 - q[:, 0].max()
@@ -104,14 +86,14 @@ FAULTS: dict[str, tuple[Callable[[np.ndarray], np.ndarray], str, str, tuple[str,
 
 
 @pytest.mark.parametrize("name", FAULTS)
-def test_faults_are_told_apart(name: str, sawyer: Robot, rng, tmp_path: Path) -> None:
+def test_faults_are_told_apart(name: str, sawyer: ml.Robot, rng, tmp_path: Path) -> None:
     """By the limits: the joint, the sample and what it may be."""
     (time, q, _), (spoil, code, column, words) = guided(sawyer, rng), FAULTS[name]
     error = refused(sawyer, tmp_path, time, spoil(q))
     assert (error.code, error.column) == (code, column) and all(w in str(error) for w in words), str(error)
 
 
-def test_gaps_split_the_demonstration(sawyer: Robot, rng, tmp_path: Path) -> None:
+def test_gaps_split_the_demonstration(sawyer: ml.Robot, rng, tmp_path: Path) -> None:
     """More than ten usual steps: two trajectories with velocities and efforts of their own, said aloud; a lone sample
     between gaps is left out, said too.
     """
@@ -164,7 +146,7 @@ def test_locked_and_mimic_joints_are_known_names(robot_of, tmp_path: Path) -> No
         assert ("moves by 0.021" in note) == said
 
 
-def test_a_stamp_that_repeats(planar3: Robot, rng: np.random.Generator, tmp_path: Path) -> None:
+def test_a_stamp_that_repeats(planar3: ml.Robot, rng: np.random.Generator, tmp_path: Path) -> None:
     """The same sample twice: left out once. Another position with the same stamp: spread up to the next stamp."""
     time, q, u = (np.insert(x, 21, x[20], axis=0) for x in guided(planar3, rng))
     demos = load(planar3, tmp_path, time, q, u, effort=7.0 * q)
@@ -183,7 +165,7 @@ def test_each_bound_lies_where_it_is_meant(robot_of, tmp_path: Path) -> None:
     time = 0.02 * np.arange(200)
     q, u = (0.3 * f(time[:, None] + np.arange(5)) for f in (np.sin, np.cos))
 
-    def said(robot: Robot, *arrays: Any, **options: Any) -> str:
+    def said(robot: ml.Robot, *arrays: Any, **options: Any) -> str:
         """What is noted, or the code of the refusal."""
         try:
             return " ".join(load(robot, tmp_path, *arrays, **options).notes)
@@ -278,7 +260,7 @@ def test_noise_and_coarse_encoders_are_no_second_publisher(rng: np.random.Genera
         assert not any(alternation(x)[0].size for x in noisy)
 
 
-def test_failed_reads_are_left_out(planar3: Robot, rng: np.random.Generator) -> None:
+def test_failed_reads_are_left_out(planar3: ml.Robot, rng: np.random.Generator) -> None:
     """A driver that could not read its motors publishes one posture now and then: said, and the rest is the motion; one
     that is held for long, or is no jump, is a motion.
     """
@@ -286,14 +268,14 @@ def test_failed_reads_are_left_out(planar3: Robot, rng: np.random.Generator) -> 
         with case(f"{n} failed reads"):
             q = motion(rng, 1000, 3, 0.01, 0.3) + [0.4, 0.5, 0.6]
             failed = np.sort(rng.choice(998, n, replace=False)) + 1
-            told = load_demonstrations(table(q, failed, -1.5), planar3)
+            told = ml.load_demonstrations(table(q, failed, -1.5), planar3)
             assert told.n_samples == 1000 - n
             assert f"{n} failed reads left out (first: sample {failed[0]}; " in told.notes[0]
     rested = np.concatenate([q[:300], np.repeat(q[300:301], 200, axis=0), q[301:801]])
-    kept = load_demonstrations(table(rested), planar3)
+    kept = ml.load_demonstrations(table(rested), planar3)
     assert kept.n_samples == 1000 and kept.notes == ()
     slow = motion(rng, 100, 3, 0.1, 3.0)  # written ten times as fast, with large steps that are no failed reads
-    told = load_demonstrations(table(np.repeat(slow, 10 + rng.integers(-3, 4, 100), axis=0)), planar3)
+    told = ml.load_demonstrations(table(np.repeat(slow, 10 + rng.integers(-3, 4, 100), axis=0)), planar3)
     assert len(told) == 1 and {*map(tuple, told[0].q)} == {*map(tuple, slow)} and len(told[0].q) < 120
 
 

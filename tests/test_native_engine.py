@@ -8,31 +8,16 @@ import pickle
 import subprocess
 import sys
 from collections import Counter
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
 from conftest import tip_of
-from random_arms import Asks, Drives
+from random_arms import State, law_of, oblique, state_of
 
 import manip_learn as ml
-from manip_learn.constraint.features import CustomFeatures, MechanismRows, RelativeFrameJacobian
-from manip_learn.constraint.features.mechanism_rows import PlaceRows
-from manip_learn.control.command import Command
 from manip_learn.control.law import ACROSS, SCALED_BELOW, STALLED_BELOW
-from manip_learn.control.policies import (
-    JointAttractor,
-    JointLimitAvoidance,
-    ManipulabilityAscent,
-    RoomAscent,
-    SampledPolicy,
-    WeightedPolicies,
-    ZeroPolicy,
-)
-from manip_learn.errors import ConstraintError
-from manip_learn.planning.clearance import links_of
+from manip_learn.control.policies import SampledPolicy
 
 built = pytest.mark.skipif(
     importlib.util.find_spec("manip_learn_fast") is None,
@@ -43,103 +28,6 @@ LAWS, STATES = 30, 20  # of each arm: 6,000 in all
 AGREED = 1e-9  # [rad/s or m/s] and of the speed
 EPS = float(np.finfo(float).eps)
 EXACT, BESIDE = 2e-15, 1e-11  # singular values over the largest: lost to the last bit, and not singular at all
-
-
-def rows_of(robot: ml.Robot, name: str, rng: np.random.Generator) -> ml.Constraint:
-    """Oblique rows of the features that there are."""
-    frame, place = tip_of(name), rng.normal(size=3)
-    axis = rng.normal(size=3)
-    choices: list[Callable[[], Any]] = [
-        lambda: ml.FrameJacobian(robot, frame, "x y"),
-        lambda: ml.FrameJacobian(robot, frame, "xyz"),
-        lambda: ml.FrameJacobian(robot, frame, "pose"),
-        lambda: ml.FrameJacobian(robot, frame, "pose", "local"),
-        lambda: ml.FrameJacobian(robot, frame, "planar"),
-        lambda: MechanismRows(robot, frame, "radial axial turn-1", axis=axis, point=place),
-        lambda: MechanismRows(robot, frame, "helical spherical", axis=axis, point=place, pitch=0.1),
-        lambda: MechanismRows(robot, frame, "radial helical slide", axis=axis, point=place, pitch=0.1, radius=0.4),
-        lambda: PlaceRows(robot, frame, "surface", place),
-        lambda: CustomFeatures(ml.FrameJacobian(robot, frame, "xyz"), ("a", "b", "c"), robot.nv, robot=robot),
-    ]
-    if name == "tree":
-        choices.append(lambda: RelativeFrameJacobian(robot, frame, "arm_b", "xyz"))
-    features = choices[int(rng.integers(len(choices)))]()
-    p = features.n_rows
-    s = int(rng.integers(1, min(p, 1 + robot.nv, 4) + 1))
-    return ml.Constraint(np.linalg.qr(rng.normal(size=(p, p)))[0][:s], features)
-
-
-def task_of(rows: ml.Constraint, robot: ml.Robot, frame: str, rng: np.random.Generator) -> ml.Task | None:
-    """Rest, a target in reach or out of it, a pose, or a velocity of a task that is not known."""
-    kind, f = int(rng.integers(5)), rows.features
-    s, b = rows.n_constraints, rng.choice([0.1, 1.0]) * rng.normal(size=rows.n_constraints)
-    D = np.linalg.qr(rng.normal(size=(s, s)))[0][: int(rng.integers(0, s + 1))]
-    asked = Asks(b) if rng.random() < 0.5 else Drives(b, D)
-    if kind == 0:
-        return None
-    if kind == 1 or not isinstance(f, ml.FrameJacobian):
-        return asked
-    q = robot.random_configuration(rng)
-    settings = {"gain": float(rng.uniform(0.5, 5.0)), "max_speed": rng.choice([None, 0.3])}  # type: ignore[arg-type]
-    settings["driven"] = rng.choice(["held", "all"]) if f.n_rows <= robot.nv else "held"
-    if kind == 2:
-        return ml.PointAttractor(robot.pose(q, frame), **settings)
-    if kind == 3 and f.own_axes:
-        return asked
-    return ml.PointAttractor(f.coordinates(q) + rng.choice([0.0, 0.5]) * rng.normal(size=f.n_rows), **settings)
-
-
-def policy_of(rows: ml.Constraint, robot: ml.Robot, rng: np.random.Generator) -> Any:
-    """The library's policies, sums of them, and a function."""
-    rest = JointAttractor(robot.random_configuration(rng), 2.0, robot)
-    ascent, middle = ManipulabilityAscent(rows), JointLimitAvoidance(robot, 0.5)
-    w = rng.normal(size=robot.nv)
-    choices: list[Callable[[], Any]] = [
-        lambda: ascent,
-        lambda: ascent,
-        lambda: ManipulabilityAscent(rows, max_speed=None),
-        lambda: ManipulabilityAscent(rows, logarithmic=False),
-        lambda: RoomAscent(rows, 0.1),
-        lambda: rest,
-        lambda: middle,
-        lambda: ZeroPolicy(robot.nv),
-        lambda: WeightedPolicies([ascent, rest, middle], [1.0, 0.5, 2.0]),
-        lambda: lambda q, t: w,
-    ]
-    return choices[int(rng.integers(len(choices)))]()
-
-
-def limits_of(robot: ml.Robot, frame: str, rng: np.random.Generator) -> ml.Limits | bool:
-    """None, the robot's own, without acceleration limits, those of the hand, and what the links keep clear of."""
-    kind = int(rng.integers(6))
-    if kind == 0:
-        return False
-    if kind == 1:
-        return ml.Limits(robot, velocity=0.5, acceleration=np.inf)
-    if kind == 2:
-        place = robot.position(robot.random_configuration(rng), frame)
-        walls = [[*rng.normal(size=3), 0.3], [0.0, 0.0, -1.0, -float(place[2]) + 0.05]]
-        return ml.Limits(robot, tip_speed=0.2, tip_walls=walls, frames=frame)
-    if kind == 3:
-        place = robot.position(robot.random_configuration(rng), frame)
-        ball = ml.Scene(spheres=[ml.Sphere(0.1, place, "ball")]).obstacles(robot)
-        # from a ball alone distances have no kinks, at which rounding decides about a gradient
-        return ml.Limits(robot, clear_of=links_of(robot)[0].with_obstacles(ball, own=False))
-    return True
-
-
-def law_of(robot: ml.Robot, name: str, rng: np.random.Generator) -> ml.ResolvedRateController:
-    """A controller of anything."""
-    while True:
-        rows = rows_of(robot, name, rng)
-        task = task_of(rows, robot, tip_of(name), rng)
-        driven = rows if task is None else task.rows(rows)
-        settings = {"limits": limits_of(robot, tip_of(name), rng), "threshold": rng.choice([0.05, 0.3])}
-        inverse = rng.choice(["damped"] * 6 + ["exact", "truncated"])
-        try:
-            return ml.ResolvedRateController(rows, task, policy_of(driven, robot, rng), inverse, **settings)
-        except ConstraintError:  # more rows are held than there are joints
-            continue
 
 
 def singular(rows: ml.Constraint, q: np.ndarray) -> np.ndarray | None:
@@ -156,37 +44,7 @@ def singular(rows: ml.Constraint, q: np.ndarray) -> np.ndarray | None:
     return q if sigma[k] <= 1e-13 * sigma[0] else None
 
 
-class State(NamedTuple):
-    """Arguments of a call."""
-
-    q: np.ndarray
-    dt: float
-    previous: np.ndarray | None
-    slide: float
-
-
-def state_of(robot: ml.Robot, special: np.ndarray | None, rng: np.random.Generator) -> State:
-    """Inside, at limits to the last bit, beyond, singular and 1e-9 beside; at rest or moving; periods of any length."""
-    low, high = np.maximum(robot.position_lower, -3.0), np.minimum(robot.position_upper, 3.0)
-    q = 0.5 * (low + high) + 0.475 * (high - low) * rng.uniform(-1.0, 1.0, robot.nv)
-    kind, j = int(rng.integers(8)), rng.permutation(robot.nv)[: int(rng.integers(1, 3))]
-    beyond = 10.0 ** rng.uniform(-13.0, -1.0)
-    if kind == 1:
-        q[j] = np.where(rng.random(len(j)) < 0.5, robot.position_lower[j], robot.position_upper[j])
-    elif kind == 2:
-        q[j] = robot.position_upper[j] + beyond
-    elif kind == 3:
-        q[j] = robot.position_lower[j] + beyond
-    elif kind in (4, 5) and special is not None:
-        q = special + (0.0 if kind == 4 else 1e-9) * rng.normal(size=robot.nv)
-    fastest = np.where(np.isfinite(robot.velocity_limit), robot.velocity_limit, 1.0)
-    before = (0.9, 0.1, 0.0)[int(rng.integers(3))] * fastest * rng.uniform(-1.0, 1.0, robot.nv)
-    dt = float(rng.choice([0.001, 0.01, rng.uniform(5e-4, 0.03)]))
-    slide = float(rng.choice([0.0, 1.0, rng.random()]))
-    return State(np.where(np.isfinite(q), q, 0.3), dt, None if rng.random() < 0.3 else before, slide)
-
-
-def slack_of(law: ml.ResolvedRateController, state: State, command: Command) -> float | None:
+def slack_of(law: ml.ResolvedRateController, state: State, command: ml.Command) -> float | None:
     """By how much two correct roundings may differ [rad/s or m/s]; None where that is without bound."""
     sigma = np.linalg.svd(law.constraint(state.q), compute_uv=False)
     ratio, policy = min(sigma[-1] / sigma[0] if sigma[0] > 0.0 else 0.0, sigma[-1]), law.null_policy
@@ -206,7 +64,7 @@ def slack_of(law: ml.ResolvedRateController, state: State, command: Command) -> 
     return (AGREED + beside + tips) * size
 
 
-def undecided(command: Command, law: ml.ResolvedRateController, slack: float) -> bool:
+def undecided(command: ml.Command, law: ml.ResolvedRateController, slack: float) -> bool:
     """Whether a number that decides about the status is at its threshold."""
     near = 1e-9 + 10.0 * slack / max(float(np.linalg.norm(command.task_velocity)), 1e-6)
     numbers = ((command.progress, STALLED_BELOW), (command.task_scale, SCALED_BELOW))
@@ -264,12 +122,12 @@ def test_both_engines_agree_in_every_state(name, robot_of, monkeypatch):
     assert compared > 0.5 * LAWS * STATES and words <= set(seen), seen
 
 
-def reaching(robot: ml.Robot, rng: np.random.Generator, policy: str = "ascent", **settings: Any) -> Any:
+def reaching(robot: ml.Robot, rng: np.random.Generator) -> ml.ResolvedRateController:
     """A law that is all compiled: two oblique rows towards a point that may be out of reach."""
     features = ml.FrameJacobian(robot, tip_of(robot.name), "xyz")
-    rows = ml.Constraint(np.linalg.qr(rng.normal(size=(3, 3)))[0][:2], features)
+    rows = oblique(features, 2, rng)
     target = features.coordinates(robot.random_configuration(rng)) * rng.choice([1.0, 1.5])
-    return ml.ResolvedRateController(rows, ml.PointAttractor(target), ManipulabilityAscent(rows), **settings)
+    return ml.ResolvedRateController(rows, ml.PointAttractor(target), ml.ManipulabilityAscent(rows))
 
 
 def test_a_start_outside_of_all_bounds_is_none(robot_of, rng):

@@ -5,16 +5,15 @@ from __future__ import annotations
 import logging
 import sys
 from collections.abc import Iterator
-from itertools import product
+from itertools import pairwise, product
 
 import numpy as np
 import pytest
-from conftest import chain_urdf, chain_with
+from conftest import chain_with
 from random_arms import random_tree
 
 import manip_learn as ml
 from manip_learn.commands.demo import SCENES
-from manip_learn.control.limits import Limits
 from manip_learn.errors import MissingExtraError
 from manip_learn.planning.clearance import Clearance, Surroundings, links_of
 from manip_learn.planning.joint_path import joint_path
@@ -28,16 +27,6 @@ PANDA_TIP = "panda_hand_tcp"
 READY = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.7, 0.8])
 FEW = {"candidates": 96}  # where the promise does not depend on how many are compared
 HARD = np.array(SCENES["sawyer"].start)  # a degree from a singularity of the drawer's rows
-
-
-@pytest.fixture(scope="module")
-def panda():
-    return ml.load_robot("panda", locked=("panda_finger_joint1", "panda_finger_joint2"))
-
-
-@pytest.fixture(scope="module")
-def sawyer():
-    return ml.load_robot("sawyer")
 
 
 def line(robot: ml.Robot, tip: str, along: tuple[float, float, float] = (1.0, 0.0, 0.0)) -> ml.Constraint:
@@ -58,12 +47,6 @@ def opening(constraint: ml.Constraint, **more) -> ml.FreeDirection:
 @pytest.fixture(scope="module")
 def opened(drawer):
     return ml.plan(drawer, opening(drawer, keep_orientation=True, pause=0.5), HARD)
-
-
-def hinge(robot: ml.Robot, point: np.ndarray) -> ml.Constraint:
-    return ml.Constraint(
-        np.eye(2), ml.MechanismRows(robot, PANDA_TIP, ("radial", "axial"), axis=(0, 0, 1), point=point)
-    )
 
 
 # ---- a plan -----------------------------------------------------------------------------------------------------
@@ -107,36 +90,11 @@ def test_simulate_and_a_servo_loop_run_a_plan(sawyer, opened):
     assert loop.controller.number == 0
 
 
-@pytest.mark.parametrize("turn", (60.0, -60.0))
-def test_a_door_is_planned(panda, turn):
-    """To either side, to a third of a degree."""
-    door = hinge(panda, panda.position(READY, PANDA_TIP) + [0.0, 0.4, 0.0])
-    plan = ml.plan(door, ml.motion(door, turn=np.radians(turn)), READY, **FEW)
-    assert plan.outcome.done == pytest.approx(np.radians(turn), abs=np.radians(0.3)) and plan.margin > 0.2
-
-
-def test_joints_without_limits_take_the_short_way(tmp_path):
-    """As configurations too, whose angles jump by a turn: the plan does not run against its joints."""
-    turns, bends = ("continuous", "1 0 0"), ("revolute", "0 1 0")
-    kinds = [("continuous", "0 0 1"), bends, turns, bends, turns, bends, turns]
-    places = ("0 0 0.3", "0 0 0.1", "0.3 0 0", "0.1 0 0", "0.3 0 0", "0.1 0 0", "0.1 0 0")
-    text = chain_urdf("arm", [(*kind, place, "0 0 0") for kind, place in zip(kinds, places, strict=True)])
-    for axis in ("0 0 1", "1 0 0"):
-        text = text.replace(f'"{axis}"/></joint>', f'"{axis}"/><limit velocity="2" effort="10"/></joint>')
-    (tmp_path / "arm.urdf").write_text(text)
-    robot = ml.load_robot(tmp_path / "arm.urdf")
-    start = robot.configuration(np.array([3.0, -0.9, 2.9, 1.4, -3.0, 0.8, 3.1]))
-    rail = line(robot, "tip")
-    plan = ml.plan(rail, ml.motion(rail, along=0.2, keep_orientation=True), start, **FEW)
-    assert plan.margin > 0.2 and plan.approach.q.shape[1] == robot.nq > robot.nv
-    assert np.all(np.abs(plan.approach.u) <= 0.3 * robot.velocity_limit)
-
-
 def test_a_way_too_fast_for_the_joints_takes_longer(panda):
     """It is given the time that the slowest joint needs, and the plan says so."""
     rail = line(panda, PANDA_TIP, (0.0, 1.0, 0.0))
     motion = ml.motion(rail, along=0.5, speed=0.5, keep_orientation=True)
-    plan = ml.plan(rail, motion, READY, limits=Limits(panda, velocity=0.4), **FEW)
+    plan = ml.plan(rail, motion, READY, limits=ml.Limits(panda, velocity=0.4), **FEW)
     assert plan.outcome.is_done and plan.outcome.seconds > 3.0 * 1.5
     assert "too slow" in " ".join(plan.notes)
 
@@ -174,7 +132,7 @@ def test_nothing_touches_between_the_stations_of_a_way(tmp_path):
     held = ml.Constraint([[0, 1]], ml.FrameJacobian(robot, "tip", "x y"))
     motion = ml.motion(held, along=-1.6)
     way = ml.plan(held, motion, start, scene=None, **FEW).way
-    stations = Stations.of(motion, start, Limits(robot))
+    stations = Stations.of(motion, start, ml.Limits(robot))
     times = way.time[-1] - stations.time[-1] + stations.time
     middle = way.q[np.searchsorted(way.time, 0.5 * (times[40] + times[41]))]
     bead = ml.Sphere(0.001, (robot.pose(middle, "link2") @ [0.9, 0.0, 0.0, 1.0])[:3], "bead")
@@ -196,7 +154,7 @@ def test_bad_starts_and_ways_are_refused_in_a_sentence(panda):
     rail, rng, links = line(panda, PANDA_TIP), np.random.default_rng(3), links_of(panda)[0]
     motion = ml.motion(rail, along=0.2)
     touching = next(q for q in (panda.random_configuration(rng) for _ in range(9999)) if links.closer_than(q, 0.0))
-    endless = Limits(panda, velocity=np.where(np.arange(7) == 3, np.inf, 2.0))
+    endless = ml.Limits(panda, velocity=np.where(np.arange(7) == 3, np.inf, 2.0))
     for words, *plan in (
         ("outside its limits", rail, motion, READY + [9, 0, 0, 0, 0, 0, 0]),
         ("touch", rail, motion, touching),
@@ -214,7 +172,7 @@ def test_bad_starts_and_ways_are_refused_in_a_sentence(panda):
 def test_the_slope_of_the_soft_margin_is_that_of_central_differences(panda):
     """Beside a singularity of the wrist, too."""
     rail, rng = line(panda, PANDA_TIP), np.random.default_rng(2)
-    stations = Stations.of(ml.motion(rail, along=0.2, keep_orientation=True), READY, Limits(panda))
+    stations = Stations.of(ml.motion(rail, along=0.2, keep_orientation=True), READY, ml.Limits(panda))
     q = READY * [1, 1, 1, 1, 1, 1e-3, 1] + np.cumsum(rng.normal(0.0, 0.02, (len(stations), 7)), axis=0)
     value, slope, _ = soft_margin(stations, q)
     steps = 1e-6
@@ -232,19 +190,18 @@ def test_the_slope_of_the_soft_margin_is_that_of_central_differences(panda):
 def test_the_sense_in_which_joints_have_more_room(rng):
     """A direction is turned round where it would meet a limit within 0.1, and sooner than the other way."""
     robot, turned = ml.load_robot("sawyer"), 0
-    limits = Limits(robot)
+    limits = ml.Limits(robot)
     for k in range(200):
         q = rng.uniform(robot.position_lower, robot.position_upper)
         j = rng.integers(7)
         q[j] = (robot.position_lower, robot.position_upper, q, robot.position_upper - 1e-3)[k % 4][j]
         direction = rng.normal(size=7) * rng.choice([0.0, 1e-4, 1.0], 7)
         fastest = np.max(np.abs(direction))
-        moved = np.flatnonzero(np.abs(direction) > 1e-3 * fastest)
-        room = {}
-        for sense in (1.0, -1.0):  # the time until the first joint is at its limit
-            ends = np.where(sense * direction > 0.0, robot.position_upper, robot.position_lower)
-            room[sense] = min((abs(ends[i] - q[i]) / abs(direction[i]) for i in moved), default=np.inf)
-        back = fastest > 0.0 and room[1.0] < min(room[-1.0], 0.1 / fastest)
+        moved = np.abs(direction) > 1e-3 * fastest
+        ends = (np.where(sense * direction > 0.0, robot.position_upper, robot.position_lower) for sense in (1, -1))
+        # times until the first joint is at its limit
+        ahead, behind = (np.min(np.abs((end - q)[moved] / direction[moved]), initial=np.inf) for end in ends)
+        back = fastest > 0.0 and ahead < min(behind, 0.1 / fastest)
         np.testing.assert_array_equal(limits.freer_sense(q, direction), -direction if back else direction)
         turned += back
     assert 30 < turned < 170
@@ -254,10 +211,8 @@ def test_the_sense_in_which_joints_have_more_room(rng):
 def test_of_a_link_with_several_shapes_the_nearest_counts(tmp_path, first):
     """4 and 8 mm away, in either order: it may come half as near as the nearer one is, so that the start is clear."""
     ball = '<collision><origin xyz="{} 0 0"/><geometry><sphere radius="0.05"/></geometry></collision>'
-    shapes = [ball.format(0.5), ball.format(0.7)]
-    robot = chain_with(
-        tmp_path, [("revolute", "0 0 1", "0 0 0.3", "0 0 0")], {"link0": "".join(shapes[:: 1 - 2 * first])}
-    )
+    shapes = "".join([ball.format(0.5), ball.format(0.7)][:: 1 - 2 * first])
+    robot = chain_with(tmp_path, [("revolute", "0 0 1", "0 0 0.3", "0 0 0")], {"link0": shapes})
     for at in (0.598, 0.602):  # between both, 4 mm from one
         around = ml.Scene(spheres=[ml.Sphere(0.044, (at, 0.0, 0.3), "ball")]).obstacles(robot)
         clear = Clearance(robot, True, Surroundings(around), np.zeros(1))
@@ -307,23 +262,12 @@ def blocked(
             yield start, goal, clear
 
 
-def is_nearer(collision: SelfCollision, path: list[np.ndarray], distance: float) -> bool:
-    """Whether anything comes nearer than a distance [m] on straight motions through postures."""
-    stations = np.linspace(0.0, 1.0, STATIONS)
-    pairs = zip(path[:-1], path[1:], strict=True)
-    return any(collision.closer_than(a + s * (b - a), distance) for a, b in pairs for s in stations)
-
-
-@pytest.fixture(scope="module")
-def roboplan():
-    return pytest.importorskip("roboplan.rrt", reason=NO_ROBOPLAN)
-
-
 @pytest.mark.parametrize("name", ["sawyer", "panda", pytest.param("kinova", marks=pytest.mark.slow), 2, 5])
-def test_paths_are_clear_and_repeated(roboplan, name, tmp_path):
+def test_paths_are_clear_and_repeated(name, tmp_path):
     """Shapes of every kind, mimic, continuous and sliding joints, trees, and robots whose links are capsules."""
+    pytest.importorskip("roboplan.rrt", reason=NO_ROBOPLAN)
     robot = random_tree(np.random.default_rng(name), tmp_path) if isinstance(name, int) else ml.load_robot(name)
-    limits, obstacles, found = Limits(robot), around(robot), 0
+    limits, obstacles, found = ml.Limits(robot), around(robot), 0
     known = links_of(robot)[0].with_obstacles(obstacles)
     for number, (start, goal, clear) in zip(range(3), blocked(robot, 1, obstacles), strict=False):
         path = joint_path(robot, start, goal, limits, clear, number)
@@ -332,33 +276,35 @@ def test_paths_are_clear_and_repeated(roboplan, name, tmp_path):
         found += 1
         assert len(path) > 2 and np.array_equal(path[0], start) and np.array_equal(path[-1], goal)
         assert all(np.all(robot.position_lower - 1e-6 <= q) and np.all(q <= robot.position_upper + 1e-6) for q in path)
-        assert not is_nearer(known, path, 0.9 * clear.least)  # between the postures that were looked at
+        for (a, b), s in product(pairwise(path), np.linspace(0.0, 1.0, STATIONS)):  # also between what was looked at
+            assert not known.closer_than(a + s * (b - a), 0.9 * clear.least)
         other = Clearance(robot, links_of(robot)[0], Surroundings(obstacles), start)
         same = joint_path(robot, start, goal, limits, other, number)
         assert same is not None and np.array_equal(path, same)
     assert found >= 1
 
 
-def test_what_cannot_be_is_said(roboplan, caplog):
+def test_what_cannot_be_is_said(caplog):
     """Walls that part the plane of a planar arm, a goal inside one, a base that floats."""
+    pytest.importorskip("roboplan.rrt", reason=NO_ROBOPLAN)
     caplog.set_level(logging.INFO)
     robot = ml.load_robot("planar3")
     walls = ml.Scene(boxes=[ml.Box((3.0, 0.1, 1.0), (s * 1.8, 0.0, 0.0), f"wall {s}") for s in (-1, 1)])
     up, down, along = np.array([[1.5, 0.3, 0.3], [-1.5, 0.3, 0.3], [0.0, 0.0, 0.0]])
     clear = Clearance(robot, True, Surroundings(walls.obstacles(robot)), up)
-    assert joint_path(robot, up, down, Limits(robot), clear, 0) is None and "no path" in caplog.text
-    assert joint_path(robot, up, along, Limits(robot), clear, 0) is None
-    assert joint_path(robot, up, up + [0.0, 0.3, 0.3], Limits(robot), clear, 0) is not None
+    assert joint_path(robot, up, down, ml.Limits(robot), clear, 0) is None and "no path" in caplog.text
+    assert joint_path(robot, up, along, ml.Limits(robot), clear, 0) is None
+    assert joint_path(robot, up, up + [0.0, 0.3, 0.3], ml.Limits(robot), clear, 0) is not None
     floating = ml.load_robot("planar3", base="floating")
     start, goal = (np.concatenate([[0.0] * 6, q]) for q in (up, down))
     clear = Clearance(floating, True, Surroundings(walls.obstacles(floating)), start)
-    assert joint_path(floating, start, goal, Limits(floating), clear, 0) is None and "turn or slide" in caplog.text
+    assert joint_path(floating, start, goal, ml.Limits(floating), clear, 0) is None and "turn or slide" in caplog.text
 
 
 def test_roboplan_is_asked_where_the_straight_motion_is_not_clear(sawyer, monkeypatch):
     """Without it, a straight motion that is clear is found, and the sentence says what to install."""
     monkeypatch.setitem(sys.modules, "roboplan.core", None)
     start, goal, clear = next(blocked(sawyer, 5, around(sawyer)))
-    assert joint_path(sawyer, start, start + 1e-3, Limits(sawyer), clear, 0) is not None
+    assert joint_path(sawyer, start, start + 1e-3, ml.Limits(sawyer), clear, 0) is not None
     with pytest.raises(MissingExtraError, match=r"pip install 'manip_learn\[plan\]'"):
-        joint_path(sawyer, start, goal, Limits(sawyer), clear, 0)
+        joint_path(sawyer, start, goal, ml.Limits(sawyer), clear, 0)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from functools import cache
 
 import numpy as np
@@ -202,10 +203,9 @@ def test_as_fast_as_was_shown_is_faster_only_where_that_is_asked_for():
     shown = skill.steps[-1].shown
     assert shown is not None and shown.speed > 0.2
     for speed in (0.25, 0.05):
-        (note,) = [n for n in made[speed].notes if "m/s" in n]
         assert fastest[speed] <= speed and took[speed] > 1.1 * shown.seconds
-        assert note.startswith(f"{speed} m/s at the tip: {shown.extent:.3g} m takes ")
-        slow, before = (float(x) for x in note.partition("takes ")[2].removesuffix(" s").split(" s instead of "))
+        (note,) = [n for n in made[speed].notes if n.startswith(f"{speed} m/s at the tip: {shown.extent:.3g} m takes ")]
+        slow, before = map(float, re.findall(r"([\d.]+) s", note))
         assert slow == pytest.approx(took[speed], rel=0.15) and before == pytest.approx(shown.seconds, rel=0.02)
     assert fastest["shown"] > 0.3 and not any("m/s" in n for n in made["shown"].notes)
     assert took["shown"] == pytest.approx(shown.seconds, rel=0.15)
@@ -237,20 +237,12 @@ def test_what_cannot_be_done_is_refused_by_its_step():
 
 
 def test_the_command_line(tmp_path, capsys):
-    """`learn` says what was shown and what to type next; that works, and so does a drawer that stands elsewhere."""
-    _, tip, _, _, _, demos = two_tasks()
-    task, run = tmp_path / "task.json", tmp_path / "run.npz"
-    for i, demo in enumerate(demos):
-        table, names = np.column_stack([demo.time, demo.q]), ",".join(["time", *demo.joint_names])
-        np.savetxt(tmp_path / f"{i}.csv", table, delimiter=",", header=names, comments="")
-    lock = ["--lock", "panda_finger_joint1", "--lock", "panda_finger_joint2"]
-    assert main(["learn", "panda", str(tmp_path), "--frame", tip, "--out", str(task), *lock]) == 0
-    said = capsys.readouterr().out
-    assert f"next: manip-learn repeat panda {task} {' '.join(lock)} --" in said
+    """The answer describes the rollout that is written; a slower tip, fixtures out of reach and typing errors."""
+    task, run = two_tasks()[2].skill_.save(tmp_path / "task.json"), tmp_path / "run.npz"
     start = ["--start", ",".join(map(str, HOME)), "--json"]
 
     def repeat(*words):
-        code = main(["repeat", "panda", str(task), *words, *lock])
+        code = main(["repeat", "panda", str(task), *words])
         out, err = capsys.readouterr()
         return json.loads(out) if code == 0 else (code, err)
 

@@ -16,19 +16,13 @@ import pinocchio as pin
 import pytest
 from conftest import TIPS, URDFS, tip_of
 from rounding import rounding
+from test_gradients import central_difference
 from urdf_corpus import edited
 
-from manip_learn.constraint.features import FrameJacobian
+import manip_learn as ml
 from manip_learn.errors import ConfigurationError, UnknownNameError
-from manip_learn.robot.collision import SelfCollision
-from manip_learn.robot.frame_kinematics import (
-    DERIVATIVE_CHUNK,
-    closed_form,
-    columns_to_joints,
-    pinocchio_order_is_known,
-)
+from manip_learn.robot import frame_kinematics
 from manip_learn.robot.loading import load_robot, robot_from_text
-from manip_learn.robot.robot import Robot
 
 ROBOTS = [*URDFS, *TIPS]
 
@@ -116,19 +110,17 @@ def test_inputs_are_left_alone_and_results_belong_to_the_caller(robot_of, rng):
 
 def test_many_threads(robot_of, rng):
     """One robot in eight threads gives in each what it gives alone."""
-    robot, frame, interval = robot_of("panda"), robot_of("panda").frame("panda_hand_tcp"), sys.getswitchinterval()
+    robot, interval = robot_of("panda"), sys.getswitchinterval()
+
+    def derivatives(q, times=100):
+        return [robot.jacobian_and_derivative(q, "panda_hand_tcp")[1] for _ in range(times)]
+
     postures = [robot.random_configuration(rng) for _ in range(8)]
-    expected = [robot.jacobian_and_derivative(q, frame)[1] for q in postures]
-
-    def is_right(i):
-        return all(
-            np.array_equal(robot.jacobian_and_derivative(postures[i], frame)[1], expected[i]) for _ in range(100)
-        )
-
+    expected = [derivatives(q, 1) * 100 for q in postures]
     sys.setswitchinterval(1e-6)  # threads alternate between any two calls of Pinocchio
     try:
         with ThreadPoolExecutor(8) as threads:
-            assert all(threads.map(is_right, range(8)))
+            np.testing.assert_array_equal(list(threads.map(derivatives, postures)), expected)
     finally:
         sys.setswitchinterval(interval)
 
@@ -137,10 +129,11 @@ def test_many_threads(robot_of, rng):
 def test_closed_form_hessian(robot_of, rng, name):
     """The stand-in for Pinocchio's Hessian, should its memory order change, gives the same derivatives."""
     robot, model = robot_of(name), robot_of(name).pinocchio_model
-    assert pinocchio_order_is_known(model)
+    assert frame_kinematics.pinocchio_order_is_known(model)
+    joints = frame_kinematics.columns_to_joints(model)
     for reference in ["world", "local"] * 3:
         J, H = robot.jacobian_and_derivative(robot.random_configuration(rng), tip_of(name), reference)
-        np.testing.assert_allclose(closed_form(J, columns_to_joints(model), reference), H, rtol=0, atol=1e-13)
+        np.testing.assert_allclose(frame_kinematics.closed_form(J, joints, reference), H, rtol=0, atol=1e-13)
 
 
 def gantry_within(folder, *limits):
@@ -153,20 +146,11 @@ def gantry_within(folder, *limits):
 
 
 def test_neutral_is_zero_where_zero_is_allowed(tmp_path):
-    """Joints whose range begins or ends at zero stand at zero, those whose range leaves it out in its middle."""
-    ranges = ((0, 2), (-2, 0), (0.5, 1), (-3, -2))
-    robot = gantry_within(tmp_path, *(f'lower="{low}" upper="{high}"' for low, high in ranges))
-    np.testing.assert_allclose(robot.neutral(), [0.0, 0.0, 0.75, -2.5, 0.0])
-
-
-def test_joints_limited_on_one_side(tmp_path, rng):
-    """They stand at their limit if zero is outside, and are drawn within a turn of it."""
-    robot, turn = gantry_within(tmp_path, 'lower="0.5"', 'upper="-0.5"', 'lower="-1"'), 2.0 * np.pi
+    """Joints whose range excludes zero stand in its middle, or at their limit if they have one only."""
+    ranges = ('lower="0" upper="2"', 'lower="-2" upper="0"', 'lower="0.5" upper="1"', 'lower="-3" upper="-2"')
+    np.testing.assert_allclose(gantry_within(tmp_path, *ranges).neutral(), [0.0, 0.0, 0.75, -2.5, 0.0])
+    robot = gantry_within(tmp_path, 'lower="0.5"', 'upper="-0.5"', 'lower="-1"')
     np.testing.assert_array_equal(robot.neutral(), [0.5, -0.5, 0.0, 0.0, 0.0])
-    drawn = np.array([robot.random_configuration(rng) for _ in range(500)])
-    low, high = [0.5, -0.5 - turn, -1.0, -2.0, -2.0], [0.5 + turn, -0.5, -1.0 + turn, 2.0, 2.0]
-    np.testing.assert_allclose([drawn.min(axis=0), drawn.max(axis=0)], [low, high], atol=0.1)
-    assert np.all(drawn >= low) and np.all(drawn <= high)
 
 
 def test_frames_and_joints_of_one_name(tmp_path):
@@ -185,14 +169,14 @@ def test_frames_and_joints_of_one_name(tmp_path):
 
 # ---- kinematics of one posture and of many at once ----
 
-TOLERANCE = 1e-12
+TOLERANCE, CHUNK = 1e-12, frame_kinematics.DERIVATIVE_CHUNK
 
 
-@pytest.mark.parametrize("n", [0, 1, *(DERIVATIVE_CHUNK + k for k in (-1, 0, 1)), 2 * DERIVATIVE_CHUNK + 3])
+@pytest.mark.parametrize("n", [0, 1, CHUNK - 1, CHUNK, CHUNK + 1, 2 * CHUNK + 3])
 def test_chunks_leave_no_seam(n, robot_of, rng):
     """Any number of postures, including zero: each row is the result of its own posture."""
     robot = robot_of("sawyer")
-    q, features = rng.uniform(-2.0, 2.0, (n, robot.nv)), FrameJacobian(robot, "right_hand", "x rz")
+    q, features = rng.uniform(-2.0, 2.0, (n, robot.nv)), ml.FrameJacobian(robot, "right_hand", "x rz")
     Phi, dPhi = features.batch_with_derivative(q)
     assert features.batch(q).shape == (n, 2, 7) and Phi.shape == (n, 2, 7) and dPhi.shape == (n, 2, 7, 7)
     assert robot.frame_kinematics(features.frame).poses(q).shape == (n, 4, 4)
@@ -206,7 +190,7 @@ def test_not_finite_names_row_and_joint(value, robot_of):
     """NaN or infinity is refused with the first bad row and the joint's name, before any work."""
     robot, q = robot_of("sawyer"), np.zeros((2000, 7))
     q[1234, 5], q[1500, 0] = value, np.nan
-    features = FrameJacobian(robot, "right_hand")
+    features = ml.FrameJacobian(robot, "right_hand")
     for call in (features.batch, features.batch_with_derivative, robot.frame_kinematics("right_hand").poses):
         with pytest.raises(ConfigurationError, match=rf"row 1234, joint '{robot.joint_names[5]}'"):
             call(q)
@@ -215,7 +199,7 @@ def test_not_finite_names_row_and_joint(value, robot_of):
 def test_wrong_tables_are_refused(robot_of):
     """One posture, a wrong number of columns, text, a (cos, sin) of length zero: each error says what is expected."""
     robot = robot_of("wrist")
-    features = FrameJacobian(robot, "tip")
+    features = ml.FrameJacobian(robot, "tip")
     for wrong in (np.zeros(4), np.zeros((3, 5)), np.zeros((2, 2, 4)), [["a"] * 4], [[1.0], [1.0, 2.0]]):
         with pytest.raises(ConfigurationError, match="table"):
             features.batch(wrong)
@@ -223,16 +207,6 @@ def test_wrong_tables_are_refused(robot_of):
     q[2, robot.blocks[2].q] = 0.0
     with pytest.raises(ConfigurationError, match="row 2, joint 'joint2'"):
         features.batch(q)
-
-
-def test_a_robot_without_joints_has_its_frames(tmp_path):
-    """Its only posture has no numbers, and is a posture all the same."""
-    fixed = '<joint name="up" type="fixed"><parent link="base"/><child link="top"/><origin xyz="0.1 0.2 0.3"/></joint>'
-    text = f'<robot name="post"><link name="base"/><link name="top"/>{fixed}</robot>'
-    robot, q = robot_from_text(text.encode(), tmp_path / "post.urdf"), np.zeros(0)
-    np.testing.assert_array_equal(robot.position(q, "top"), [0.1, 0.2, 0.3])
-    assert robot.jacobian(q, "top").shape == (6, 0)
-    assert [x.shape for x in robot.jacobian_and_derivative(q, "top", "local")] == [(6, 0), (6, 0, 0)]
 
 
 # ---- the shipped robots/sawyer.urdf against the numbers of its source ----
@@ -262,49 +236,36 @@ AXES = {"a": "0 0 1", "b": "0.6 0.8 0", "c": "0 1 0", "d": "1 0 0"}
 WIDE = '<limit lower="-3" upper="3" velocity="2" effort="1"/>'
 
 
-def urdf(mimics: dict[str, tuple[str, float, float]], order="abcd", types=None, limits=None) -> bytes:
+def urdf(mimics: dict[str, tuple[str, float, float]], types=None, limits=None) -> bytes:
     """A chain of the joints a, b, c, d; `mimics` maps a joint to (leader, multiplier, offset)."""
-    types, limits = TYPES | (types or {}), limits or {}
-    joints = {}
+    types, limits, joints = TYPES | (types or {}), limits or {}, ""
     for i, name in enumerate("abcd"):
         mimic = ""
         if name in mimics:
             leader, multiplier, offset = mimics[name]
             mimic = f'<mimic joint="{leader}" multiplier="{multiplier}" offset="{offset}"/>'
-        joints[name] = (
+        joints += (
             f'<joint name="{name}" type="{types[name]}"><parent link="l{i}"/><child link="l{i + 1}"/>'
             f'<origin xyz="0.2 0.1 0.{i}" rpy="0.{i} 0 0.2"/><axis xyz="{AXES[name]}"/>'
             f"{limits.get(name, WIDE)}{mimic}</joint>"
         )
     links = "".join(f'<link name="l{i}"/>' for i in range(5))
-    return f'<robot name="chain">{links}{"".join(joints[n] for n in order)}</robot>'.encode()
+    return f'<robot name="chain">{links}{joints}</robot>'.encode()
 
 
-def load(mimics: dict[str, tuple[str, float, float]], **options) -> Robot:
+def load(mimics: dict[str, tuple[str, float, float]], **options) -> ml.Robot:
     """The chain."""
     locked = options.pop("locked", ())
     return robot_from_text(urdf(mimics, **options), Path("chain.urdf"), locked=locked)
-
-
-def free_pose(positions: dict[str, float], **options) -> np.ndarray:
-    """Pose of the last link when all joints are free, at given positions."""
-    model = pin.buildModelFromXML(urdf({}, **options).decode())
-    data, q = model.createData(), pin.neutral(model)
-    for name, x in positions.items():
-        joint = model.joints[model.getJointId(name)]
-        if joint.nv:
-            q[joint.idx_q : joint.idx_q + joint.nq] = (np.cos(x), np.sin(x)) if joint.nq == 2 else x
-    pin.framesForwardKinematics(model, data, q)
-    return data.oMf[model.getFrameId("l4")].homogeneous
 
 
 KNOWN = rounding(8 * 4, 2.0 * np.pi)  # four joints that turn by up to a full turn
 CHAIN = {"c": ("b", -2.0, 0.1), "b": ("a", 0.5, -0.3)}
 
 
-def same_place(robot, q, positions, **options):
-    """The last link is where the free joints bring it."""
-    np.testing.assert_allclose(robot.pose(q, robot.frame("l4")), free_pose(positions, **options), atol=KNOWN)
+def assert_same_place(robot, q, positions, **options):
+    """The last link is where the joints bring it when all of them are independent."""
+    np.testing.assert_allclose(robot.pose(q, "l4"), load({}, **options).pose(positions, "l4"), atol=KNOWN)
 
 
 def test_a_fixed_leader_holds_its_followers(rng):
@@ -313,7 +274,7 @@ def test_a_fixed_leader_holds_its_followers(rng):
     assert robot.joint_names == ("d",) and not robot.mimics
     assert robot.locked == {"b": 0.4, "c": pytest.approx(0.3)}
     assert sum("follows the fixed joint 'a'" in w for w in robot.warnings) == 2
-    same_place(robot, [0.6], {"b": 0.4, "c": 0.3, "d": 0.6}, types={"a": "fixed"})
+    assert_same_place(robot, [0.6], [0.4, 0.3, 0.6], types={"a": "fixed"})
 
 
 def test_a_locked_leader_holds_its_followers():
@@ -321,7 +282,7 @@ def test_a_locked_leader_holds_its_followers():
     robot = load(CHAIN, locked={"a": 0.8})
     assert robot.joint_names == ("d",)
     assert robot.locked == {"a": 0.8, "b": pytest.approx(0.1), "c": pytest.approx(-0.1)}
-    same_place(robot, [0.2], {"a": 0.8, "b": 0.1, "c": -0.1, "d": 0.2})
+    assert_same_place(robot, [0.2], [0.8, 0.1, -0.1, 0.2])
 
 
 def test_full_turns_reach_the_follower():
@@ -329,7 +290,7 @@ def test_full_turns_reach_the_follower():
     types, a = {"a": "continuous", "b": "revolute"}, 2 * np.pi + 0.4
     robot = load({"b": ("a", 0.5, 0.0)}, types=types)
     assert any("jumps" in w for w in robot.warnings)
-    same_place(robot, [a, 0, 0], {"a": a, "b": a / 2, "c": 0.0, "d": 0.0}, types=types)
+    assert_same_place(robot, [a, 0, 0], [a, a / 2, 0, 0], types=types)
 
 
 @pytest.mark.parametrize(
@@ -362,30 +323,24 @@ def test_every_derivative_is_exact_with_followers(mimics, tmp_path, rng):
     free, bound = (urdf(m).replace(b'"/>', f'">{MASS}{BALL}'.encode(), 5) for m in ({}, mimics))
     (tmp_path / "chain.urdf").write_bytes(bound)
     robot, whole = load_robot(tmp_path / "chain.urdf"), robot_from_text(free, Path("free.urdf"))
-    q, steps = 0.5 * robot.random_configuration(rng), 1e-5 * np.eye(robot.nv)
-
-    def slopes(of):
-        return np.stack([(of(q + step) - of(q - step)) / 2e-5 for step in steps], axis=-1)
-
-    J, H = robot.centre_of_mass_jacobian_and_derivative(q)
-    near, batch = SelfCollision(robot), robot.frame_kinematics("l4")
-    checked = [
-        (J, slopes(robot.centre_of_mass)),
-        (H, slopes(lambda x: robot.centre_of_mass_jacobian_and_derivative(x)[0])),
-        (robot.jacobian(q, "l4")[:3], slopes(lambda x: robot.position(x, "l4"))),
-    ]
-    for reference in ("world", "local"):
-        derivative = robot.jacobian_and_derivative(q, "l4", reference)[1]
-        checked.append((derivative, slopes(lambda x, ref=reference: robot.jacobian(x, "l4", ref))))
-        many = batch.jacobians_and_derivatives(q[None], reference)[1][0]
-        np.testing.assert_allclose(many, derivative, atol=1e-12)
-    for exact, by_steps in checked:
-        np.testing.assert_allclose(exact, by_steps, atol=1e-9)
-    found = {p.links: p for p in near.closer_than(q, 10.0)}
-    assert set(found) == {("l0", "l3"), ("l0", "l4"), ("l1", "l4")}
-    for links, seen in found.items():
-        by_steps = slopes(lambda x, k=links: {p.links: p for p in near.closer_than(x, 10.0)}[k].distance)
-        np.testing.assert_allclose(seen.gradient, by_steps, atol=1e-7, err_msg=str(links))
+    q, near = 0.5 * robot.random_configuration(rng), ml.SelfCollision(robot)
+    views = [ml.FrameJacobian(robot, "l4", "pose", view) for view in ("world", "local")]
+    for features in (*views, ml.CentreOfMass(robot)):
+        derivative = features.derivative(q)
+        np.testing.assert_allclose(derivative, central_difference(features, robot, q), atol=1e-9)
+        np.testing.assert_allclose(features.batch_with_derivative(q[None])[1][0], derivative, atol=1e-12)
+    for J, place in (
+        (robot.jacobian(q, "l4")[:3], lambda x: robot.position(x, "l4")),
+        (robot.centre_of_mass_jacobian_and_derivative(q)[0], robot.centre_of_mass),
+    ):
+        np.testing.assert_allclose(J, central_difference(place, robot, q), atol=1e-9)
+    pairs = near.closer_than(q, 10.0)
+    assert {p.links for p in pairs} == {("l0", "l3"), ("l0", "l4"), ("l1", "l4")}
+    for pair in pairs:
+        expected = central_difference(
+            lambda x, k=pair.links: {p.links: p for p in near.closer_than(x, 10.0)}[k].distance, robot, q
+        )
+        np.testing.assert_allclose(pair.gradient, expected, atol=1e-7, err_msg=str(pair.links))
     lift, acceleration = robot.coupling.lift, rng.normal(size=robot.nv)
     expected = lift.T @ whole.inertial_effort(robot.pinocchio_configuration(q), lift @ acceleration)
     np.testing.assert_allclose(robot.inertial_effort(q, acceleration), expected, atol=1e-12)

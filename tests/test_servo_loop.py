@@ -19,8 +19,8 @@ FOLLOWING_ERROR, OUTSIDE = ml.Status.FOLLOWING_ERROR, ml.Status.OUTSIDE_LIMITS
 
 
 @pytest.fixture
-def robot(robot_of):
-    return robot_of("sawyer")
+def robot(sawyer):
+    return sawyer
 
 
 # ---- faults, and the limits that are kept all the same (`Arm` looks at every command) ----

@@ -33,13 +33,6 @@ def way(**contact) -> ml.ServoLoop:
     return loop
 
 
-def to_a_point(offset, dt: float = DT, gain: float = 1.0, **contact) -> ml.ServoLoop:
-    """A loop that brings the hand elsewhere."""
-    rows = ml.Constraint(np.eye(3), ml.FrameJacobian(ROBOT, FRAME, "xyz"))
-    law = ml.ResolvedRateController(rows, ml.PointAttractor(hand(START) + offset, gain=gain))
-    return ml.ServoLoop(law, dt, contact=ml.Contact(stiffness=STIFFNESS, **contact))
-
-
 class Servos:
     """An arm without inertia on a loop: it is where its servos bring it, and gives way to a force on the hand.
 
@@ -197,7 +190,7 @@ def test_readings_that_are_slower_than_the_loop_are_said(every):
 
 def test_a_stiffness_that_is_not_told_is_said():
     """The limits are then distances, and a note says what they mean."""
-    loop = ml.ServoLoop(to_a_point(0.0).controller, DT)
+    loop = ml.ServoLoop(way().controller, DT)
     assert "the stiffness of the servos is unknown" in loop.notes[0] and "mrad off" in loop.notes[0]
     rng = np.random.default_rng(1)
     levers = [np.linalg.norm(rows_of(ROBOT.random_configuration(rng)), axis=0).max() for _ in range(999)]

@@ -13,11 +13,6 @@ TIP, READY = "panda_hand_tcp", np.array([0.0, -0.6, 0.0, -2.2, 0.0, 1.8, 0.7])
 HEIGHT = np.array([0.0, 0.0, 1.0])
 
 
-@pytest.fixture(scope="module")
-def panda() -> ml.Robot:
-    return ml.load_robot("panda", locked=("panda_finger_joint1", "panda_finger_joint2"))
-
-
 def test_an_assumed_floor_gives_way_and_a_given_one_does_not(panda: ml.Robot):
     """It lies below what the arm is in at the start, and below all that was shown: one note says which and how deep."""
     middle, above = panda.pose(READY, "panda_link4")[:3, 3], np.zeros(7)

@@ -87,9 +87,12 @@ def mimic_chain(order: tuple[int, ...]) -> bytes:
     return linked([f"l{i}" for i in range(4)], [], extra="".join(joints))
 
 
+TABLES: dict[str, list[Any]] = {}  # category -> rows of a `Case`
+
+
 # Broken, cut, foreign and unusual XML.
 arm = ARM.encode()
-XML_ROWS = [
+TABLES["xml"] = [
     ("plain", "accept", arm),
     ("single quotes", "accept", arm.replace(b'"', b"'")),
     ("empty file", "empty", b""),
@@ -114,7 +117,7 @@ def with_dtd(dtd: str, use: str = "elbow") -> bytes:
 
 
 laughs = "".join(f'<!ENTITY l{i} "{f"&l{i - 1};" * 10}">' for i in range(1, 10))
-ENTITY_ROWS = [
+TABLES["entities"] = [
     ("billion laughs", "doctype", with_dtd(f'[<!ENTITY l0 "ha">{laughs}]', "&l9;")),
     ("external entity", "doctype", with_dtd('[<!ENTITY f SYSTEM "file:///etc/passwd">]', "&f;")),
     ("undefined entity", "entity", arm.replace("elbow", "&elbow;").encode()),
@@ -130,7 +133,7 @@ def declared(encoding: str, codec: str = "") -> bytes:
     return (f'<?xml version="1.0" encoding="{encoding}"?>\n' + text).encode(codec or encoding)
 
 
-ENCODING_ROWS = [
+TABLES["encoding"] = [
     ("utf-8", "accept", declared("utf-8")),
     ("utf-8 with mark", "accept", b"\xef\xbb\xbf" + declared("utf-8")),
     ("utf-16 with mark", "accept", declared("utf-16")),
@@ -142,7 +145,7 @@ ENCODING_ROWS = [
 
 # Trees, and what is no tree.
 line = [("1", "a", "b"), ("2", "b", "c"), ("3", "c", "d"), ("4", "d", "e")]
-TOPOLOGY_ROWS = [
+TABLES["topology"] = [
     ("one link", "warn", b'<robot name="r"><link name="a"/></robot>'),
     ("branches", "warn", tree([("1", "a", "b"), ("2", "a", "c"), ("3", "a", "d"), ("4", "d", "e")])),
     ("no links", "no-links", b'<robot name="r"/>'),
@@ -158,20 +161,29 @@ TOPOLOGY_ROWS = [
 
 # Numbers that are none, not finite, or in the wrong number.
 xyz = "0 0 0.3"
-NUMBER_ROWS = [
+
+
+def with_axis(length: float) -> bytes:
+    return edited((AXIS, f'<axis xyz="0 0 {length}"/>'))
+
+
+TABLES["numbers"] = [
     ("exponents and signs", "accept", edited((xyz, "+1e-1 -.5E0 3."))),
     ("nan position", "not-finite", edited((xyz, "0 0 nan"))),
-    ("a light second away", "far-away", edited((xyz, "3e8 0 0"))),
+    ("1000 km below", "accept", edited((xyz, "0 0 -1e6"))),
+    *((f"{x} away", "far-away", edited((xyz, x))) for x in ("3e8 0 0", "0 0 -1000001", "0 -1000001 0", "-1000001 0 0")),
     ("overflow to inf", "not-finite", edited((xyz, "1e999 0 0"))),
     ("decimal comma", "number", edited((xyz, "0 0 0,3"))),
     ("commas between", "vector-size", edited((xyz, "0,0,0.3"))),
     ("Arabic digits", "number", edited((xyz, "0 0 \u0663"))),
     ("rotation in degrees", "warn", edited(("0 0 0.1", "0 0 90"))),
     ("zero axis", "axis-zero", edited((AXIS, '<axis xyz="0 0 0"/>'))),
-    ("axis of length 2", "warn", edited((AXIS, '<axis xyz="0 0 2"/>'))),
+    *((f"axis of length {x}", "warn", with_axis(x)) for x in (2, 0.0011, 999)),
+    *((f"axis of length {x}", "axis-norm", with_axis(x)) for x in (0.0009, 1001)),
     ("no axis", "warn", edited((AXIS, ""))),
     ("negative mass", "mass", edited(('<mass value="2"/>', '<mass value="-2"/>'))),
     ("no mass", "warn", edited(('<mass value="2"/>', ""))),
+    ("no inertia", "accept", edited(*((f'{i}="0.1"', f'{i}="0"') for i in ("ixx", "iyy", "izz")))),
     ("negative inertia", "warn", edited(('ixx="0.1"', 'ixx="-0.1"'))),
 ]
 
@@ -183,10 +195,11 @@ def limited(lower: str, upper: str, velocity: str = "1") -> bytes:
 
 prismatic = SHOULDER.replace("revolute", "prismatic")
 continuous = SHOULDER.replace("revolute", "continuous")
-LIMIT_ROWS = [
+TABLES["limits"] = [
     ("two full turns each way", "accept", limited(str(-4 * math.pi), str(4 * math.pi))),
     ("inverted", "limit-order", limited("1", "-1")),
-    ("degrees", "limit-degrees", limited("-180", "180")),
+    *(("degrees", "limit-degrees", limited(*ends)) for ends in (("-180", "180"), (str(-4 * math.pi), "12.567"))),
+    ("no limit by numbers", "warn", limited("-999", "1000.1")),
     ("unlimited by a large number", "warn", limited("-1e16", "1e16")),
     ("infinite", "not-finite", limited("-inf", "inf")),
     ("no lower", "warn", edited(('lower="-2" ', ""))),
@@ -203,7 +216,7 @@ def typed(kind: str, *more: tuple[str, str]) -> bytes:
     return edited((SHOULDER, f'<joint name="shoulder" type="{kind}">'), *more)
 
 
-TYPE_ROWS = [
+TABLES["joint types"] = [
     ("fixed", "accept", typed("fixed")),
     ("planar", "accept", typed("planar")),
     ("planar without axis", "planar-axis", typed("planar", (AXIS, ""))),
@@ -225,7 +238,7 @@ def following(elbow: str, shoulder: str = "", *more: tuple[str, str]) -> bytes:
 
 
 plain = '<mimic joint="shoulder"/>'
-MIMIC_ROWS = [
+TABLES["mimic"] = [
     ("plain", "warn", following(plain)),  # the follower's narrower limits bind its leader
     ("factor and offset", "accept", following('<mimic joint="shoulder" multiplier="-0.3" offset="0.2"/>')),
     ("never within the limits", "warn", following('<mimic joint="shoulder" multiplier="0.1" offset="9"/>')),
@@ -272,7 +285,7 @@ def dae(image: str = "", head: str = "", positions: str = "0 0 0 1 0 0 0 1 0") -
 
 
 # Names: missing, twice, odd, hostile.
-NAME_ROWS = [
+TABLES["names"] = [
     ("duplicate link", "duplicate-link", edited(('<link name="tip"/>', '<link name="tip"/><link name="tip"/>'))),
     ("duplicate joint", "duplicate-joint", edited(("elbow", "shoulder"))),
     ("link and joint share a name", "accept", edited(("elbow", "tip"))),
@@ -290,29 +303,22 @@ NAME_ROWS = [
 
 # Too many, too deep, too long.
 limit = '<limit lower="-1" upper="1" velocity="1" effort="1"/>'
-SIZE_ROWS = [
+TABLES["size"] = [
     ("500 deep", "warn", chain(500)),
     ("501 deep", "too-deep", chain(501)),
     ("1001 links in a star", "too-many-links", star(1000)),
     ("150 degrees of freedom", "accept", chain(150, "revolute", limit)),
     ("151 degrees of freedom", "too-many-dof", chain(151, "revolute", limit)),
-    ("many elements", "xml-too-large", b'<robot name="r">' + b"<a/>" * 300_000 + b"</robot>"),
+    ("200000 elements", "no-links", b"<robot>" + b"<a/>" * 199_999 + b"</robot>"),
+    ("200001 elements", "xml-too-large", b"<robot>" + b"<a/>" * 200_000 + b"</robot>"),
+    ("60 levels", "not-urdf", b"<a>" * 60 + b"</a>" * 60),
+    ("61 levels", "xml-too-deep", b"<a>" * 61 + b"</a>" * 61),
     ("deep nesting", "xml-too-deep", b'<robot name="r">' + b"<a>" * 100_000),
+    ("100000 letters", "no-links", f'<robot name="{"r" * 100_000}"/>'.encode()),
+    ("100001 letters", "xml-too-large", f'<robot name="{"r" * 100_001}"/>'.encode()),
     ("long attribute", "xml-too-large", edited(("0 0 0.3", "0 " * 200_000))),
     ("long number with a slip", "number", edited(("0 0 0.3", f"0 0 {'3' * 90_000}x"))),
 ]
 
 
-TABLES = {
-    "xml": XML_ROWS,
-    "entities": ENTITY_ROWS,
-    "encoding": ENCODING_ROWS,
-    "topology": TOPOLOGY_ROWS,
-    "numbers": NUMBER_ROWS,
-    "limits": LIMIT_ROWS,
-    "joint types": TYPE_ROWS,
-    "mimic": MIMIC_ROWS,
-    "names": NAME_ROWS,
-    "size": SIZE_ROWS,
-}
 CASES = [Case(category, *row) for category, rows in TABLES.items() for row in rows]

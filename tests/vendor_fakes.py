@@ -26,6 +26,11 @@ class Joints:
         assert len(q) == len(self.q) and np.all(np.isfinite(q))
         self.q, self.u = np.array(q, dtype=float), self.u if u is None else np.array(u, dtype=float)
 
+    def guide(self, guided: bool) -> bool:
+        """Whether a person guides the arm from now on."""
+        self.guided = guided
+        return True
+
 
 class Clock:
     """Stands in for `time` in a run: as fast as the machine is, and never late."""
@@ -50,34 +55,20 @@ def _module(name: str, **content: Any) -> dict[str, ModuleType]:
 
 
 def _ur(arm: Joints) -> dict[str, ModuleType]:
-    class Control:
-        def __init__(self, hostname: str, frequency: float) -> None:
-            assert frequency in (125.0, 500.0)
+    def servo(q: list, _speed: float, _acceleration: float, time: float, lookahead: float, gain: float) -> bool:
+        assert isinstance(q, list) and time > 0.0 and 0.03 <= lookahead <= 0.2 and 100.0 <= gain <= 2000.0
+        arm.go(q)
+        return True
 
-        def servoJ(self, q: list, _speed: float, _acceleration: float, time: float, lookahead: float, gain: float):
-            assert isinstance(q, list) and time > 0.0 and 0.03 <= lookahead <= 0.2 and 100.0 <= gain <= 2000.0
-            arm.go(q)
-            return True
+    def control(hostname: str, frequency: float) -> SimpleNamespace:
+        assert frequency in (125.0, 500.0)
+        modes = {"teachMode": lambda: arm.guide(True), "endTeachMode": lambda: arm.guide(False)}
+        return SimpleNamespace(servoJ=servo, servoStop=lambda: True, stopScript=lambda: None, **modes)
 
-        def servoStop(self) -> bool:
-            return True
+    def receive(hostname: str, frequency: float) -> SimpleNamespace:
+        return SimpleNamespace(getActualQ=lambda: arm.q.tolist(), getActualQd=lambda: arm.u.tolist())
 
-        def stopScript(self) -> None:
-            pass
-
-        def teachMode(self) -> bool:
-            arm.guided = True
-            return True
-
-        def endTeachMode(self) -> bool:
-            arm.guided = False
-            return True
-
-    class Receive:
-        def __init__(self, hostname: str, frequency: float) -> None:
-            self.getActualQ, self.getActualQd = lambda: arm.q.tolist(), lambda: arm.u.tolist()
-
-    return _module("rtde_control", RTDEControlInterface=Control) | _module("rtde_receive", RTDEReceiveInterface=Receive)
+    return _module("rtde_control", RTDEControlInterface=control) | _module("rtde_receive", RTDEReceiveInterface=receive)
 
 
 def _franka(arm: Joints) -> dict[str, ModuleType]:
@@ -102,7 +93,7 @@ def _franka(arm: Joints) -> dict[str, ModuleType]:
 
         def set_gains(self, *, stiffness: Any, damping: Any = None) -> None:
             assert np.shape(stiffness) == (7,) and (damping is None or np.shape(damping) == (7,))
-            arm.guided = not np.any(stiffness)
+            arm.guide(not np.any(stiffness))
 
         def stop(self) -> None:
             self.is_running = False
