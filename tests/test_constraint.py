@@ -32,8 +32,9 @@ def test_rows_are_orthonormal_and_span_the_same(features, rng):
     assert_allclose(M - M @ S.T @ S, 0.0, atol=1e-9)
     exact = np.eye(6)[[4, 0]]
     assert_array_equal(ml.Constraint(exact, features).selection, exact)
-    with pytest.raises(ValueError, match="read-only"):
-        S[0, 0] = 1.0
+    for selection in (S, ml.Constraint(exact, features).selection):
+        with pytest.raises(ValueError, match="read-only"):
+            selection[0, 0] = 1.0
     bad = (np.zeros((2, 6)), np.ones((2, 6)), np.eye(5), [[np.nan] * 6], [], [[1, 2], [3]], "x", np.ones((2, 2, 6)))
     for selection in bad:
         with case(selection), pytest.raises(ConstraintError, match="selection|rows"):

@@ -7,6 +7,7 @@ import sys
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 import manip_learn as ml
 from manip_learn.cli import main
@@ -80,6 +81,31 @@ def test_moveit_keeps_the_point_of_a_firm_hinge(ur5):
     kept = made["orientation_constraints"][0]
     wide = np.array([kept[f"absolute_{name}_axis_tolerance"] for name in "xyz"])
     assert np.allclose(wide, np.minimum(np.pi, TOLERANCE[1] + np.pi * np.abs(axis)))
+
+
+def is_in_region(text, point):
+    """True if a point of the base frame lies in one of the boxes of a `moveit_msgs/Constraints` [m]."""
+    made = json.loads("\n".join(line for line in text.splitlines() if not line.startswith("#")))
+    region = made["position_constraints"][0]["constraint_region"]
+    for shape, pose in zip(region["primitives"], region["primitive_poses"], strict=True):
+        turn = Rotation.from_quat([pose["orientation"][k] for k in "xyzw"])
+        local = turn.inv().apply(point - np.array([pose["position"][k] for k in "xyz"]))
+        if np.all(np.abs(local) <= 0.5 * np.array(shape["dimensions"]) + 1e-9):
+            return True
+    return False
+
+
+def test_moveit_regions_are_the_mechanism(ur5):
+    """The boxes of a loose hinge contain its whole circle and no point 3 cm off it; those of a level, its plane."""
+    q = posture(ur5)
+    hand, about = ur5.position(q, "tool0"), Rotation.from_rotvec
+    text = moveit_constraints(hinge(ur5, "radial axial"), q)
+    for angle in np.linspace(-np.pi, np.pi, 60):
+        on_circle = POINT + about(angle * np.array(AXIS)).apply(hand - POINT)
+        assert is_in_region(text, on_circle) and not is_in_region(text, on_circle + [0.0, 0.0, 0.03])
+        assert not is_in_region(text, POINT + 0.9 * (on_circle - POINT))
+    level = moveit_constraints(ml.Constraint([[0, 0, 1]], ml.FrameJacobian(ur5, "tool0", "xyz")), q)
+    assert is_in_region(level, hand + [0.5, -0.5, 0.0]) and not is_in_region(level, hand + [0.0, 0.0, 0.03])
 
 
 def test_command_writes_each_of_them(tmp_path, capsys):

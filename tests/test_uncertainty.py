@@ -197,3 +197,14 @@ def test_what_is_stated_holds_in_two_cases_of_three(robot_of, kind, path, form, 
     for name, ratios in inside.items():
         assert 0.52 <= np.mean(np.array(ratios) <= 1.0) <= 0.88, name
         assert np.median(ratios) > 1.0 / 3.0, name
+
+
+@pytest.mark.parametrize("n", [2, 3])
+def test_few_recordings_have_an_uncertainty(n):
+    """Two recordings give a first estimate, and `fit` reports its progress from 0 to 1."""
+    robot, shares = ml.load_robot("sawyer"), []
+    demos = ml.load_demonstrations("sawyer_drawer", robot)[:n]
+    learner = ml.ConstraintLearner(ml.FrameJacobian(robot, frame="right_gripper_tip"))
+    report = learner.fit(demos, progress=lambda step, share: shares.append(share)).report_
+    assert report.uncertainty_deg is not None and 0.0 < report.uncertainty["noise"] < 1.0
+    assert shares == sorted(shares) and shares[-1] == 1.0
