@@ -219,3 +219,11 @@ def test_positions_that_are_noise_are_no_motion() -> None:
     with pytest.raises(NotIdentifiableError, match="further than its encoder noise") as refused:
         ml.ConstraintLearner(features).fit(still)
     assert refused.value.code == "no-motion"
+
+
+@pytest.mark.parametrize("noise", [0.0, NOISE])
+def test_velocities_do_not_depend_on_when_the_clock_began(noise: float):
+    """Recordings with stamps of a computer's clock, 1e5 s after its start, have the velocities of those from 0 on."""
+    for demo in recorded(SEED, noise)[1]:
+        later = derive_velocities(replace(demo, time=demo.time + 1e5), ROBOT)
+        np.testing.assert_allclose(later.u, derive_velocities(demo, ROBOT).u, rtol=0, atol=1e-5)
