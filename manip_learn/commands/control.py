@@ -156,7 +156,7 @@ def run(
     answer = outcome(constraint, rollout, options.tolerance, way, aim)
     if result is not None:
         clear = f"; clear of {', '.join(result.around.names)}" if result.around.names else ""
-        remark = f"plan: {result.sentence}; of {counted(result.candidates, 'posture')} that take hold{clear}"
+        remark = f"plan: {result.sentence}; compared: {counted(result.candidates, 'grasp configuration')}{clear}"
         content, warnings = answer.content | {"plan": result.to_dict()}, [*result.notes, *answer.warnings]
         answer = replace(answer, content=content, remarks=[remark, *answer.remarks], warnings=warnings)
     return rollout, answer

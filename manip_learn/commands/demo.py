@@ -100,7 +100,7 @@ def demo(options: DemoOptions, progress: Progress) -> Answer:
     if options.all_policies:
         policies = {name: name for name in (best, "manipulability", "attractor", "zero")}
     for i, (name, policy) in enumerate(policies.items()):
-        progress("planning in which posture to take hold" if policy == "plan" else f"moving {name}", 0.5 + 0.1 * i)
+        progress("planning the grasp configuration" if policy == "plan" else f"moving {name}", 0.5 + 0.1 * i)
         how = ControlOptions(options.robot, str(file), policy=policy, plan=policy == "plan", **scene.control)
         how = replace(how, gain=1.0 if policy == "attractor" else how.gain)
         rollouts[name], answer = run(how, constraint, robot, task, np.array(scene.start), silent)

@@ -92,7 +92,7 @@ class Plan:
     def sentence(self) -> str:
         """Plan in words."""
         change = float(np.max(np.abs(self.approach.q[-1] - self.approach.q[0]), initial=0.0))
-        moved = "take hold as it stands" if change < ARRIVED else f"take hold after {self.approach.time[-1]:.1f} s"
+        moved = "grasp as it stands" if change < ARRIVED else f"grasp after {self.approach.time[-1]:.1f} s"
         return (
             f"{moved}, then {way_in_words(self.outcome.done, self.outcome.unit)} in {self.outcome.seconds:.3g} s; "
             f"margin {self.margin:.0%}: {self.margins.limited_by}"

@@ -319,7 +319,7 @@ class _SkillRun:
         if constraint.shown is not None and len(constraint.shown.grasps):
             position = constraint.features.twist.pose(hold)[:3, 3]  # may be relative to another frame
             off = float(np.min(np.linalg.norm(constraint.shown.grasps[:, :3, 3] - position, axis=1)))
-        fast, title = _largest_speed_share(result.approach, robot), f"take hold for {name}"
+        fast, title = _largest_speed_share(result.approach, robot), f"grasp for {name}"
         numbers = abs(outcome.wanted), abs(outcome.done), outcome.unit, outcome.deviation, result.margin
         to_hold, along = result.controller.laws
         reach = StepDone("reach", distance, distance, "m", 0.0, None, None, fast, grasp[:3, 3], title, grasp, off)

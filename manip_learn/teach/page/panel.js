@@ -2,7 +2,7 @@
 
 const FREE_HANDS = ["idle", "recording"]; // the program does nothing by itself
 const FEW = 3, ENOUGH = 5; // recordings without which nothing can be learnt, and that a person is asked for, as the program has them
-const NO_WAY = "There is no way to go yet: in no recording does the gripper take hold of something and move it by 2 cm, or by 3°. Record one that does, and learn again.";
+const NO_WAY = "There is no way to go yet: in no recording does the gripper grasp something and move it by 2 cm, or by 3°. Record one that does, and learn again.";
 
 class Panel {
   constructor(teach) {
