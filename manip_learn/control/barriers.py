@@ -1,4 +1,4 @@
-"""Barriers: linear inequalities on the joint velocity that keep the hand and the links away from walls and obstacles."""
+"""Barriers: linear inequalities on the joint velocity that keep hand and links away from walls and obstacles."""
 
 from __future__ import annotations
 

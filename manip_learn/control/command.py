@@ -112,8 +112,8 @@ class Command(NamedTuple):
         Args:
             velocity: Joint velocity (nv,) [rad/s or m/s].
             status: Status of the command.
-            **more: Further attributes; by default manipulability 0, task scale 1, null-space scale 0, and the defaults
-                of `Command`.
+            **more: Further attributes of the command; by default manipulability 0, task scale 1, null-space scale 0,
+                and the defaults of `Command`.
         """
         none = np.zeros_like(velocity)
         values: dict[str, Any] = {"manipulability": 0.0, "task_scale": 1.0, "null_scale": 0.0}

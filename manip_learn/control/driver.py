@@ -157,8 +157,8 @@ def run(
         duration: Time after which the arm brakes [s]; None continues until Ctrl-C.
         until: Function that is called in each cycle: it returns an empty text to continue, or a reason in words, after
             which the arm brakes and the run ends. An exception from it is raised once the arm is at rest.
-        clock: Source of the time; by default the computer's clock. Not used for a `simulated` driver, whose time is the
-            number of commands times the period.
+        clock: Source of the time; by default the computer's clock. The time of a `simulated` driver is the number of
+            commands times the period, whatever the clock.
 
     Returns:
         The record, with the reason why the run ended.
@@ -198,7 +198,7 @@ class Clock(Protocol):
             moment: Time of this clock [s].
 
         Returns:
-            Anything; the value is ignored.
+            Value that is ignored.
         """
         ...
 
@@ -337,7 +337,7 @@ class Shutdown:
 
     @property
     def outcome(self) -> tuple[str, bool]:
-        """Reason of the end and faults of the shutdown, in words; and True if the end was intended and without fault."""
+        """Reason of the end and faults of the shutdown, in words; and True if it was intended and without fault."""
         return "; ".join((self.reason, *self.failed.values())), self.ordered and not self.failed
 
     @contextmanager

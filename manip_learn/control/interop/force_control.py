@@ -66,10 +66,11 @@ def force_mode(constraint: Constraint, q: ArrayLike) -> dict[str, Any]:
 
 
 def urscript(constraint: Constraint, q: ArrayLike) -> str:
-    """Return a URScript program that sets a UR arm to force mode along the held axes, and moves it along a free one.
+    """Return a URScript program that sets a UR arm to force mode, compliant along the held axes.
 
-    The task frame moves with the hand: it turns with the hand, or about the axis of a hinge. Written from the script
-    manual, not tested on a controller.
+    A comment in the program marks where to insert your moves along the free axes, with an example. The task frame
+    follows the hand; where the task requires it, it also turns with the hand, or about the axis of a hinge. Written
+    from the script manual, not tested on a controller.
 
     Args:
         constraint: The task.
@@ -124,9 +125,9 @@ def impedance(
         damping_ratio: Damping ratio z; 1 for critical damping.
 
     Returns:
-        `stiffness` K and `damping` D, each (6, 6) as nested lists, in the frame `base`; `stiffness_along_axes`, the
-        stiffness by axis of `task_frame`; `frame`, the name of the hand's frame; and `reason`, a text that explains
-        the choice.
+        `stiffness` K and `damping` D, each (6, 6) as nested lists [N/m, N m/rad, and these times s]; `base` and
+        `frame`, the names of the base frame and of the hand's frame; `task_frame` and `stiffness_along_axes`, the task
+        frame and the stiffness along each of its axes; and `reason`, a text that explains the choice.
 
     Raises:
         ConstraintError: The constraint has no task frame.
