@@ -266,9 +266,9 @@ class ManipulabilityAscent(_Ascent):
         \frac{\partial \mu}{\partial q_k}
             = \mu \, \text{tr}\left((A A^T)^{-1} A \left(\frac{\partial A}{\partial q_k}\right)^T\right)
 
-    With `logarithmic=False` it is :math:`\text{gain} \, \nabla \mu`, equation (13) of Manavalan and Howard. The gradient
-    of log mu has the same direction, but does not depend on the units of the constraint. It also stays large where mu
-    is small, near a singularity, where the gradient of mu almost vanishes.
+    With `logarithmic=False` it is :math:`\text{gain} \, \nabla \mu`, equation (13) of Manavalan and Howard. The
+    gradient of log mu has the same direction, but does not depend on the units of the constraint. It also stays large
+    where mu is small, near a singularity, where the gradient of mu almost vanishes.
 
     Towards a singularity the gradient of log mu grows as :math:`1 / \sigma`, with the smallest singular value
     :math:`\sigma` of A, so that an explicit step would jump from one side to the other. Its length is therefore at most

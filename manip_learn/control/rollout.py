@@ -160,7 +160,7 @@ class Rollout:
         return replace(self, **{name: values[:n] for name, values in self._curves().items()})
 
     def followed_by(self, other: Rollout) -> Rollout:
-        """Return this motion followed by another one of the same robot, which begins at the posture where this one ends.
+        """Return this motion followed by another one of the same robot, which begins where this one ends.
 
         The result has the `phases`, `ways` and `around` of both motions, and no `following_error`; its other fields are
         the second motion's.
@@ -230,7 +230,7 @@ class Rollout:
         Args:
             path: The file.
             robot: Robot that the rollout must belong to: a file of another robot, or of other locked joints, raises.
-                None accepts any robot; `load_robot(name, locked=rollout.robot.locked)` then loads it.
+                None accepts any robot; `load_robot(name, locked=rollout.robot.locked)` then loads that robot.
 
         Returns:
             The rollout.

@@ -19,7 +19,7 @@ class MotionProfile:
     speed / ramp. If the distance is too short to reach the speed, the ramps stay as long and the speed is lower.
 
     Attributes:
-        distance: [m or rad], negative for the opposite sense.
+        distance: Whole distance [m or rad], negative for the opposite sense.
         speed: Speed of the middle part, positive [m/s or rad/s].
         ramp: Time from rest to the speed [s].
     """
@@ -62,11 +62,11 @@ class PathProfile(MotionProfile):
     less.
 
     Attributes:
-        distance: Along the path from its beginning [m].
-        speed: Largest rate of that [m/s].
-        ramp: Time in which the time of the recording accelerates to its rate [s].
-        times: shape (k,), of the recording, from 0 [s].
-        ways: shape (k,), distance along the path at these times [m].
+        distance: Length of the path [m].
+        speed: Largest speed along the path [m/s].
+        ramp: Time from rest until the path is followed at its demonstrated speed [s].
+        times: shape (k,), times of the recording, from 0 [s].
+        ways: shape (k,), distances along the path at these times [m].
     """
 
     times: Float[np.ndarray, " k"]
@@ -80,7 +80,7 @@ class PathProfile(MotionProfile):
 
     @property
     def peak(self) -> float:
-        """Largest rate of the distance [m/s]."""
+        """Largest speed along the path [m/s]."""
         return self.speed
 
     @property
