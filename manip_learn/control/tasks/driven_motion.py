@@ -98,7 +98,7 @@ class Course:
         self._around = None if motion.around is None else motion.around.at(origin, np.inf)
 
     def evaluate(self, q: ArrayLike, near: float) -> tuple[float, Float[np.ndarray, " p"], Float[np.ndarray, " p"]]:
-        """Return the distance of the hand along the motion, the tangent of the motion, and the hand's deviation from it.
+        """Return the hand's distance along the motion, the tangent of the motion, and the deviation from it.
 
         Args:
             q: Posture.
