@@ -1,7 +1,7 @@
-"""The command line: argv in, exit code out; all work is done in `commands`.
+"""Entry point of the command line; the commands are in `commands`.
 
-Only modules of the operating system are imported before Ctrl-C has a handler: Ctrl-C in the first moment gives no
-traceback either.
+Only modules of the standard library are imported before Ctrl-C has a handler, so that Ctrl-C never prints a traceback,
+not even in the first moment.
 """
 
 from __future__ import annotations

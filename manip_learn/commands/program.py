@@ -23,7 +23,8 @@ def run_command(work: str, given: Options) -> None:
     """Run a command, and print its answer.
 
     Args:
-        work: File in `commands` and function: options and progress -> an `Answer`.
+        work: Module in `commands` and name of its function, which takes the options and a progress function, and
+            returns an `Answer`.
         given: Options of the command.
     """
     file, function = work.split(".")

@@ -26,8 +26,9 @@ _ORIGINS = {
 def known_robots(options: RobotsOptions, progress: Progress) -> Answer:
     """List every available robot, with its joints.
 
-    In the document, `origin` is `package`, `extra` (of the extra `robots`) or `net` (of the extra `descriptions`);
-    `joints` move on their own; the list is empty if a description is refused, or would have to be fetched.
+    In the JSON document, `origin` is `package`, `extra` (from the extra `robots`) or `net` (from the extra
+    `descriptions`, downloaded when needed); `joints` are the robot's degrees of freedom. The list of joints is empty if
+    a description cannot be used, or would have to be downloaded.
 
     Args:
         options: Options of the command.
@@ -64,7 +65,7 @@ _JOINT = "kind: {kind}; lower: {lower:.4g}; upper: {upper:.4g}; velocity: {veloc
 
 
 def inspect(options: InspectOptions, progress: Progress) -> Answer:
-    """Load a robot, check its forward kinematics by another library, and show the facts needed before recording.
+    """Load a robot, check its forward kinematics against another library, and show the facts needed before recording.
 
     Args:
         options: Options of the command.

@@ -98,7 +98,8 @@ def record(
     they do in `run`.
 
     Args:
-        driver: Driver of the arm, see `Driver`. A simulated driver needs `wait()`, which lets a period pass.
+        driver: Driver of the arm, see `Driver`, which holds its last commanded posture until `release`. A simulated
+            driver needs `wait()`, which lets a period pass.
         out: Folder of the files; it is created if it does not exist.
         name: Beginning of the file names.
         by: `"motion"`: a file begins when the arm moves and ends when it rests; `"key"`: `key` begins and ends it.
