@@ -68,14 +68,14 @@ def advice(sentence: str, python: str, flag: str) -> str:
 
 
 def printable(text: object, layout: bool = False) -> str:
-    r"""Return a text in which no character can move the cursor, colour the terminal or turn the direction of reading.
+    r"""Return a text that is safe to print: no character moves the cursor, sets colours or reverses the direction.
 
-    Names of files, columns, frames and joints may contain any character. Control characters (C0, C1, escape), marks of
-    direction and halves of characters are written as Python writes them, e.g. `\x1b`.
+    Names of files, columns, frames and joints may contain any character. Control characters (C0, C1, escape), direction
+    marks and unpaired surrogates are replaced by their Python escapes, e.g. `\x1b`.
 
     Args:
-        text: Any object; it is converted by `str`.
-        layout: Keep line ends and tabs.
+        text: Object of any type; it is converted by `str`.
+        layout: True to keep line ends and tabs.
 
     Returns:
         The text; printable characters are unchanged.
@@ -316,7 +316,7 @@ class UnknownNameError(ManipLearnError):
 
 
 def closest_names(name: str, known: Iterable[str], n: int = 4) -> list[str]:
-    """Return the known names nearest to an unknown one: first similar names, then names that contain it or its parts.
+    """Return the known names nearest to an unknown one: first similar ones, then those that contain it or vice versa.
 
     Args:
         name: Unknown name; case does not matter.

@@ -28,7 +28,7 @@ def for_json(value: object, sentence: bool = False) -> Any:
 
     Args:
         value: Value to convert.
-        sentence: True if texts are sentences, from which control characters are removed.
+        sentence: True if texts are sentences, in which control characters are escaped.
     """
     if isinstance(value, Path):
         return str(value)
@@ -90,7 +90,7 @@ def cells(content: Mapping[str, Any], layout: str) -> dict[str, str]:
 
     Args:
         content: JSON document with the numbers.
-        layout: Headings, each with a format of keys in the document, e.g. `"time: {seconds:.1f} s; margin: {margin:.0%}"`.
+        layout: Headings, each with a format of keys in the document: `"time: {seconds:.1f} s; margin: {margin:.0%}"`.
     """
     values, words = for_json(dict(content)), {}
     for heading, form in (part.split(": ") for part in layout.split("; ")):
