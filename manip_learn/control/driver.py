@@ -43,17 +43,14 @@ class Driver(Protocol):
 
     Only `period`, `read` and `command` are required. A driver may also have:
 
-    `joint_names`: names of its joints in its own order; `run` reorders readings and commands accordingly. Further
-    joints, e.g. of a gripper, are commanded to their first measured positions.
-
-    `simulated`: True for a simulated arm, whose time is the number of commands times the period, so that `run` does not
-    wait between cycles. It then also has `wait()`, which lets a period pass without a command.
-
-    `gripper(word)`: closes or opens a gripper. It is called once with `"close"` or `"open"` at each gripper action of
-    the controller's motion (see `repeat`), and returns without waiting for the gripper.
-
-    `release()`, after which a person can guide the arm by hand, and `hold()`, after which the arm keeps its position.
-    If an arm cannot be released, `release()` raises a `ConfigurationError` that explains how else to guide it.
+    - `joint_names`: names of its joints in its own order; `run` reorders readings and commands accordingly. Further
+      joints, e.g. of a gripper, are commanded to their first measured positions.
+    - `simulated`: True for a simulated arm, whose time is the number of commands times the period, so that `run` does
+      not wait between cycles. It then also has `wait()`, which lets a period pass without a command.
+    - `gripper(word)`: closes or opens a gripper. It is called once with `"close"` or `"open"` at each gripper action of
+      the controller's motion (see `repeat`), and returns without waiting for the gripper.
+    - `release()`, after which a person can guide the arm by hand, and `hold()`, after which the arm keeps its position.
+      If an arm cannot be released, `release()` raises a `ConfigurationError` that explains how else to guide it.
 
     Attributes:
         period: Time between two commands [s].

@@ -275,11 +275,12 @@ class ManipulabilityAscent(_Ascent):
 
     .. math::
 
-        \text{max\_speed} \, \frac{\sigma}{\sqrt{\sigma^2 + r^2}}, \qquad
-        r = \frac{dt \cdot \text{max\_speed} \, |\nabla \log \mu| \, \sigma}{\text{GROWTH}}
+        v_\text{max} \, \frac{\sigma}{\sqrt{\sigma^2 + r^2}}, \qquad
+        r = \frac{dt \, v_\text{max} \, |\nabla \log \mu| \, \sigma}{\gamma}
 
-    which is continuous, with a slope that a step of dt can follow. At the singularity itself the velocity is
-    `SEED_SPEED` along the steepest ascent of mu, and the controller adds the motion that leaves it (see `Law`).
+    with :math:`v_\text{max}` = `max_speed` and :math:`\gamma` = `GROWTH`. It is continuous, with a slope that a step of
+    dt can follow. At the singularity itself the velocity is `SEED_SPEED` along the steepest ascent of mu, and the
+    controller adds the motion that leaves it (see `Law`).
 
     If a task also drives rows, the manipulability of both the held and the driven rows matters: the manipulability of
     the held rows alone may rise while the driven direction is being lost. `FreeDirection.ascent` climbs a measure of
