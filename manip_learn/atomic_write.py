@@ -85,7 +85,7 @@ def has_no_room(error: OSError) -> bool:
     """Return True if an error means that the disk is full, the quota is used up or the file is too large.
 
     Args:
-        error: Error of the operating system, as writing raised it.
+        error: Error of the operating system that was raised during writing.
     """
     return error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 

@@ -276,8 +276,8 @@ class RobotError(_InFileError):
 
     Attributes:
         code: Short stable name of the reason, e.g. `"not-xml"`.
-        path: File of the description, or None.
-        line: Line in the file, counted from 1, or None.
+        path: File of the description; None if there is no file.
+        line: Line of the fault in the file, counted from 1; None if it has none.
     """
 
     code = "robot"
@@ -316,7 +316,9 @@ class UnknownNameError(ManipLearnError):
 
 
 def closest_names(name: str, known: Iterable[str], n: int = 4) -> list[str]:
-    """Return the known names nearest to an unknown one: first similar ones, then those that contain it or vice versa.
+    """Return the known names nearest to an unknown one.
+
+    Similar names come first, then names that contain it or are contained in it.
 
     Args:
         name: Unknown name; case does not matter.
@@ -363,7 +365,7 @@ class NumberOfConstraintsError(FeatureError):
 
 
 class ConstraintError(ManipLearnError):
-    """A selection matrix is unusable (wrong size, dependent rows, not finite)."""
+    """A constraint cannot be built or used as requested, e.g. its selection matrix has dependent rows."""
 
     code = "constraint"
 
@@ -430,7 +432,7 @@ class NotFittedError(ManipLearnError, AttributeError):
 
 
 class TargetError(ManipLearnError):
-    """A task target or a joint target has the wrong size or is not finite."""
+    """A target, distance or other input of a task is invalid, e.g. has the wrong size or is not finite."""
 
     code = "target"
 

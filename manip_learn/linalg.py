@@ -144,7 +144,7 @@ def row_basis(M: Float[np.ndarray, "s p"]) -> Float[np.ndarray, "r p"]:
     """Return orthonormal rows that span the row space of M.
 
     Args:
-        M: Matrix of any shape; its numerical rank is by Matlab's tolerance.
+        M: Matrix of any shape; its rank is determined with Matlab's tolerance.
     """
     _, sigma, Vt = np.linalg.svd(M, full_matrices=False)
     return Vt[: rank_of(sigma, M.shape)]
@@ -154,7 +154,7 @@ def complement_rows(M: Float[np.ndarray, "s p"]) -> Float[np.ndarray, "k p"]:
     """Return orthonormal rows that span the orthogonal complement of the row space of M.
 
     Args:
-        M: Matrix of any shape; its numerical rank is by Matlab's tolerance.
+        M: Matrix of any shape; its rank is determined with Matlab's tolerance.
     """
     return null_basis(M).T
 

@@ -189,7 +189,7 @@ def _names_in(source: Path) -> set[str]:
 
 
 def input_files(text: str) -> Iterator[Path]:
-    """Yield the file or folder that an argument names, and the recordings in a folder.
+    """Yield the file or folder that an argument names, and for a folder also the recordings in it.
 
     Args:
         text: File, folder, driver as FILE.py:NAME, or name of a robot.
@@ -221,7 +221,7 @@ def flags_of(program: Any, arguments: Sequence[str]) -> set[str]:
 
     Args:
         program: Group of commands of typer.
-        arguments: Words of a command line.
+        arguments: Arguments of a command line, with the name of the command.
     """
     command = next((program.commands[a] for a in arguments if a in program.commands), program)
     return {flag for parameter in command.params for flag in (*parameter.opts, *parameter.secondary_opts)}

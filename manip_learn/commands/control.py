@@ -58,14 +58,14 @@ def control(options: ControlOptions, progress: Progress) -> Answer:
 
     Args:
         options: Options of the command.
-        progress: Function of the name of a stage and its completed share.
+        progress: Function that is called with the name of a stage and its completed fraction, 0 to 1.
 
     Returns:
         Outcome of the motion, with the files that were written.
 
     Raises:
-        TargetError: A target together with a distance, an unknown word for `rows`, or a plan without a motion; with
-            `check`, a distance or a target that is not reached, before anything is written.
+        TargetError: A target and a distance are both given, `rows` is unknown, or a plan is requested without a motion;
+            with `check`, the distance or the target is not reached (then no file is written).
         NoPlanError: With `--plan`, the whole motion is infeasible from every configuration.
         ManipLearnError: Another error in the robot, the constraint file, the numbers or the output.
     """

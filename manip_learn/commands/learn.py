@@ -31,10 +31,10 @@ def learn_task(options: LearnOptions, progress: Progress = silent) -> Answer:
 
     Args:
         options: Options of the command.
-        progress: Function of the name of a stage and its completed share.
+        progress: Function that is called with the name of a stage and its completed fraction, 0 to 1.
 
     Returns:
-        Report as an answer.
+        Answer with the learnt constraint and its evidence.
     """
     return fit(options, progress)[1]
 
@@ -47,7 +47,7 @@ def fit(options: LearnOptions, progress: Progress = silent) -> tuple[ml.Constrai
 
     Args:
         options: Options of the command.
-        progress: Function of the name of a stage and its completed share.
+        progress: Function that is called with the name of a stage and its completed fraction, 0 to 1.
 
     Returns:
         Fitted learner, and the report as an answer.
@@ -161,7 +161,7 @@ def load_to_learn(
 
     Args:
         options: Options of `learn`.
-        progress: Function of the name of a stage and its completed share.
+        progress: Function that is called with the name of a stage and its completed fraction, 0 to 1.
 
     Returns:
         Robot, recordings, name of the frame, and notes on locked joints.

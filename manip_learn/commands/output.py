@@ -142,7 +142,7 @@ def progress(quiet: bool) -> Iterator[Progress]:
 
 
 def system_refusal(error: OSError) -> str:
-    """Return a sentence about an error of the operating system, e.g. that the answer cannot be printed (a full disk).
+    """Return a message for an error of the operating system, e.g. that the disk is full and nothing can be printed.
 
     Output that could not be printed is discarded, so that the interpreter does not report it again at its end.
 
@@ -185,7 +185,7 @@ def refuse(sentence: str, as_json: bool, code: str, facts: Mapping[str, Any] | N
 
 
 def discard_output() -> int:
-    """Drop further output without a message: the reader of a pipe, such as `head`, has closed it.
+    """Drop further output without a message, because the reader of a pipe, such as `head`, has closed it.
 
     Returns:
         The exit code.

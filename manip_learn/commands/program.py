@@ -47,7 +47,7 @@ def print_version(asked: bool) -> None:
     """Print the version and exit, if it was requested.
 
     Args:
-        asked: True if the flag was typed.
+        asked: True if the flag `--version` was typed.
     """
     if asked:
         from importlib.metadata import version

@@ -27,7 +27,7 @@ def replay_files(options: ReplayOptions, progress: Progress) -> Answer:
 
     Args:
         options: Options of the command.
-        progress: Function of the name of a stage and its completed share.
+        progress: Function that is called with the name of a stage and its completed fraction, 0 to 1.
 
     Returns:
         Answer with the name and the size of the page.

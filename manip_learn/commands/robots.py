@@ -32,7 +32,7 @@ def known_robots(options: RobotsOptions, progress: Progress) -> Answer:
 
     Args:
         options: Options of the command.
-        progress: Function of the name of a stage and its completed share.
+        progress: Function that is called with the name of a stage and its completed fraction, 0 to 1.
 
     Returns:
         Answer with the robots of each origin.
@@ -69,7 +69,7 @@ def inspect(options: InspectOptions, progress: Progress) -> Answer:
 
     Args:
         options: Options of the command.
-        progress: Function of the name of a stage and its completed share.
+        progress: Function that is called with the name of a stage and its completed fraction, 0 to 1.
 
     Returns:
         Answer with a row for each joint.

@@ -322,8 +322,8 @@ class Barriers:
         clear: Collision avoidance; None for none.
 
     Raises:
-        ConfigurationError: A speed that is not positive, an empty box, or invalid walls.
-        UnknownNameError: No such frame.
+        ConfigurationError: The speed is not positive, the box is empty, or the walls are invalid.
+        UnknownNameError: The robot has no such frame.
     """
 
     def __init__(
@@ -363,7 +363,7 @@ class Barriers:
         Args:
             q: Posture.
             dt: Step [s].
-            acceleration: Acceleration limits (nv,) [rad/s2 or m/s2]; inf for none.
+            acceleration: Acceleration limits (nv,) [rad/s2 or m/s2]; inf for no limit.
             previous: Velocity of the previous step (nv,) [rad/s or m/s]; None if there was none.
         """
         if not self.frames and self.clear is None:

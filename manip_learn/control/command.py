@@ -126,7 +126,7 @@ POSITION, VELOCITY, ACCELERATION = range(3)
 
 
 def slowed_by(cause: int) -> Status:
-    """Return the status of a task that is slowed down.
+    """Return the status of a task that a limit or a singularity slows down.
 
     Args:
         cause: Limit that slows it down: POSITION, VELOCITY or ACCELERATION; -1 for a singularity.

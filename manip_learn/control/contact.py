@@ -183,7 +183,7 @@ class FollowingError:
         self._deflection, self._weight, self._motion_time, self._moving_force = zero, 0.0, 0.0, 0.0
 
     def copy(self) -> FollowingError:
-        """Return a copy; its parts are never changed in place."""
+        """Return a copy; changes of the copy do not affect the original."""
         other = shallow_copy(self)
         other.servos = shallow_copy(self.servos)
         return other
@@ -233,7 +233,7 @@ class FollowingError:
         return largest + self.servos.recent_travel + self.servos.width
 
     def remaining_force(self, q: Posture) -> float:
-        """Return the remaining force on the hand in a measured posture, beyond the force that friction keeps [N].
+        """Return the force on the hand that remains at a measured posture, without the part due to friction [N].
 
         Args:
             q: Measured posture.

@@ -181,7 +181,7 @@ class ResolvedRateController(LimitedController):
 
     @property
     def law(self) -> ResolvedRateController:
-        """This controller itself."""
+        """This controller, as the law that computes the present command (see `LimitedController`)."""
         return self
 
     @property

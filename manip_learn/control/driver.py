@@ -182,7 +182,7 @@ def run(
 
 
 class Clock(Protocol):
-    """Source of a cycle's time."""
+    """Interface of a clock for `run` and `record`."""
 
     def now(self) -> float:
         """Return the time [s]; it never decreases."""
@@ -202,10 +202,10 @@ class Clock(Protocol):
 
 @final
 class ComputerClock:
-    """Clock of this computer."""
+    """Clock of the computer, the default of `run` and `record`."""
 
     def now(self) -> float:
-        """Return the time since an arbitrary moment [s]."""
+        """Return the time [s], counted from an arbitrary moment."""
         return time.perf_counter()
 
     def wait_until(self, moment: float) -> None:
@@ -640,7 +640,8 @@ class _Arm:
         """Return joint positions in the robot's order, from the driver's or from a mapping.
 
         Raises:
-            ConfigurationError: A name is missing, their number is another, or the driver's order has changed.
+            ConfigurationError: The position of a joint is missing, the number of positions is wrong, or the driver's
+                order of the joints has changed.
         """
         q, _, _ = self._driver.read()
         if q is not None and self._names and not isinstance(q, Mapping):

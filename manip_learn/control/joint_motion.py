@@ -58,8 +58,8 @@ class FollowMotion(LimitedController):
             loop runs a copy of this controller: read `loop.controller.delay`.
 
     Raises:
-        ConfigurationError: Fewer than two samples, other joints than the robot's, numbers that are not finite, or time
-            that does not increase.
+        ConfigurationError: The motion has fewer than two samples, lacks a joint of the robot, has numbers that are not
+            finite, or its time does not increase.
 
     Example:
         >>> import numpy as np
@@ -117,7 +117,7 @@ class FollowMotion(LimitedController):
         self._clock, self._since, self._rate, self.delay = -math.inf, math.inf, 0.0, 0.0
 
     def at(self, s: float) -> Vector:
-        """Return joint positions of the motion (nv,) [rad or m].
+        """Return the joint positions of the motion at a time (nv,) [rad or m].
 
         Args:
             s: Time since the first sample [s].
@@ -241,7 +241,7 @@ class _Path:
 
 
 def every_joint(robot: Robot) -> Constraint:
-    """Return A(q) = I: a row for the velocity of each joint.
+    """Return the constraint A(q) = I (nv, nv), with one row for the velocity of each joint.
 
     Args:
         robot: The robot.

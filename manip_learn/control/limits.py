@@ -98,7 +98,7 @@ class Bounds(NamedTuple):
         """Return True if a velocity is within the bounds.
 
         Args:
-            velocity: shape (nv,) [rad/s or m/s].
+            velocity: Joint velocity (nv,) [rad/s or m/s].
         """
         return self.excess(velocity) <= 0.0
 
@@ -185,10 +185,12 @@ class Limits:
 
     Args:
         robot: The robot, for its position and velocity limits.
-        velocity: shape (nv,) or a number [rad/s or m/s]; the robot's own by default.
-        acceleration: shape (nv,) or a number [rad/s2 or m/s2]; by default 5 times the velocity limit, so that
-            full speed is reached in 0.2 s, and 10 for a joint without a velocity limit. inf for no limit.
-        jerk: shape (nv,) or a number [rad/s3 or m/s3]; None for no limit. Only a `ServoLoop` applies it.
+        velocity: Largest speed of the joints, shape (nv,) or a number [rad/s or m/s]; by default the robot's limits.
+        acceleration: Largest acceleration of the joints, shape (nv,) or a number [rad/s2 or m/s2]; by default 5 times
+            the velocity limit, so that full speed is reached in 0.2 s, and 10 for a joint without a velocity limit. inf
+            for no limit.
+        jerk: Largest jerk of the joints, shape (nv,) or a number [rad/s3 or m/s3]; None for no limit. Only a
+            `ServoLoop` applies it.
         position: False ignores the position limits.
         margin: Distance to keep from the position limits [rad or m].
         tip_speed: Largest speed of the origins of `frames` [m/s], e.g. 0.25 near people; None for no limit.
@@ -205,15 +207,15 @@ class Limits:
 
     Attributes:
         barriers: Barriers for frames and links.
-        velocity: shape (nv,) [rad/s or m/s].
-        acceleration: shape (nv,) [rad/s2 or m/s2].
-        jerk: shape (nv,) [rad/s3 or m/s3], or None.
+        velocity: shape (nv,), velocity limits [rad/s or m/s].
+        acceleration: shape (nv,), acceleration limits [rad/s2 or m/s2].
+        jerk: shape (nv,), jerk limits [rad/s3 or m/s3]; None for no limit.
         lower: shape (nv,), lowest positions [rad or m].
         upper: shape (nv,), highest positions [rad or m].
 
     Raises:
-        ConfigurationError: A limit that is not positive or has the wrong size, or a margin that leaves no room.
-        UnknownNameError: No such frame.
+        ConfigurationError: A limit is not positive or has the wrong size, or the margin exceeds half a joint's range.
+        UnknownNameError: The robot has no such frame.
     """
 
     def __init__(
@@ -292,7 +294,7 @@ class Limits:
         """Return the time in which all joints can stop, T = max_j |u_j| / a_j [s].
 
         Args:
-            velocity: u, shape (nv,) [rad/s or m/s].
+            velocity: Joint velocity u, shape (nv,) [rad/s or m/s].
         """
         return float((np.abs(velocity) / self.acceleration).max())
 
@@ -343,7 +345,7 @@ class Limits:
 
         Raises:
             ConfigurationError: A speed that is not a positive number.
-            UnknownNameError: No such frame.
+            UnknownNameError: The robot has no such frame.
         """
         other, present = copy.copy(self), self.barriers
         names = tuple(dict.fromkeys([*(frame.name for frame in present.frames), *frames]))

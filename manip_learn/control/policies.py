@@ -560,10 +560,10 @@ class PolicyFunction(NullSpacePolicy):
 
 
 def as_policy(policy: NullSpacePolicy | Callable[..., ArrayLike]) -> NullSpacePolicy:
-    """Return a policy unchanged, and wrap a function as a `PolicyFunction`.
+    """Return a policy unchanged, or a function wrapped as a `PolicyFunction`.
 
     Args:
-        policy: A policy, or a function of q, or of q and t.
+        policy: A policy, or a function of a posture, or of a posture and a time [s].
     """
     return policy if isinstance(policy, NullSpacePolicy) else PolicyFunction(policy)
 

@@ -45,7 +45,7 @@ class Rollout:
             has no `task_error`.
         frame: Name of the frame that the constraint refers to, whose path a replay draws; empty if there is none.
         robot: Identity of the robot, with its locked joints; None for a system without a robot.
-        target: Target of the task, as `Task.goal` returns it; None for a task without one.
+        target: Target of the task, as `Task.goal` returns it; None for a task without a target.
         constraint: Constraint of the controller, as a dictionary from `Constraint.to_dict` without the phases of the
             demonstrations (`Constraint.from_dict` builds the constraint); None if that is not known or cannot be
             written.
@@ -106,7 +106,7 @@ class Rollout:
 
     @property
     def status_counts(self) -> dict[str, int]:
-        """Number of samples with each status."""
+        """Number of samples with each status, by the status as text."""
         return {str(s): self.status.count(s) for s in dict.fromkeys(self.status)}
 
     def __repr__(self) -> str:

@@ -111,7 +111,7 @@ class State:
     hangs: bool = False
 
     def copy(self) -> State:
-        """Return a copy for the next period; its parts are never changed in place."""
+        """Return a copy for the next period; changes of the copy do not affect the original."""
         other = shallow_copy(self)
         other.following = self.following.copy()
         return other
@@ -159,7 +159,7 @@ class LoopRules:
             t: Time at which it was measured [s].
 
         Raises:
-            ManipLearnError: An error of the controller.
+            ManipLearnError: The controller raised it.
         """
         after = state.copy()
         return after, self.advance(after, q, t)
@@ -584,7 +584,7 @@ class ServoLoop:
         """Set another target of a `PointAttractor`, also in motion (see `set_task`).
 
         Args:
-            target: The new target, as for `PointAttractor`.
+            target: The new target, in one of the forms of `PointAttractor.target`.
 
         Raises:
             ConfigurationError: The task is not a `PointAttractor`.

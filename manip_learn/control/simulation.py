@@ -201,7 +201,7 @@ class WayDone:
         return self.deviation > 2e-3  # [m or rad] play of a drawer's rails; 5 mm press with 18 N on a stiff arm
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the outcome as plain data for JSON: lengths in m, angles in degrees."""
+        """Return the outcome as a dictionary for JSON, with lengths in m and angles in degrees."""
         size, unit = (1.0, "m") if self.unit == "m" else (float(np.degrees(1.0)), "deg")
         content = vars(self) | {"wanted": size * self.wanted, "done": size * self.done, "unit": unit}
         name, share = content.pop("fastest")

@@ -97,12 +97,12 @@ class Timing(NamedTuple):
 
     @property
     def is_stale(self) -> bool:
-        """True if the newest reading is too old, or came after too long a gap."""
+        """True if the newest reading is older than `stale_after`, or came after a gap longer than that."""
         return self.since > self.stale_after or self.silent > self.stale_after
 
     @property
     def is_regular(self) -> bool:
-        """True if calls come one usual period apart."""
+        """True if the calls come at regular times, one `usual` period apart."""
         return self.longest == self.usual
 
     def detect_reset(self, time: float) -> Timing:

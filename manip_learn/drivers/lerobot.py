@@ -145,7 +145,9 @@ class LeRobotDriver:
         return assigned
 
     def read(self) -> tuple[Float[np.ndarray, " nv"], Float[np.ndarray, " nv"] | None, Float[np.ndarray, " nv"] | None]:
-        """Return the joint positions [rad or m], and velocities [rad/s] and efforts [N m] if the arm measures them.
+        """Return the joint positions (nv,) [rad or m], velocities (nv,) [rad/s] and efforts (nv,) [N m].
+
+        Velocities and efforts are None if the arm does not measure them.
 
         Raises:
             ConfigurationError: A position is missing or not a finite number.
@@ -290,13 +292,13 @@ class _Scale:
         return self.zero + self.per_unit * (value - self.centre)
 
     def motor_position(self, position: float) -> float:
-        """Return the motor position of a joint position, within the bounds.
+        """Return the motor position, in the motor's unit, that belongs to a joint position.
 
         Args:
             position: Joint position [rad or m].
 
         Raises:
-            ConfigurationError: It is outside the bounds.
+            ConfigurationError: The motor position is outside its bounds.
         """
         rounding = 1e-6 / abs(self.per_unit)  # [rad or m] / unit: tolerance at the limits, for round-trip conversion
         value = self.centre + (float(position) - self.zero) / self.per_unit

@@ -125,9 +125,11 @@ class MuJoCoDriver:
         self._seen = deque([self._state() for _ in range(back + 1)], back + 1)
 
     def read(self) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
-        """Return the joint positions with encoder noise (n,) [rad or m], velocities (n,) [rad/s or m/s] and efforts.
+        """Return the measured state of the joints.
 
-        The efforts are those of the servos, shape (n,) [N m or N].
+        Returns:
+            Joint positions with encoder noise (n,) [rad or m], velocities (n,) [rad/s or m/s], and efforts of the
+            servos (n,) [N m or N].
         """
         return self._seen[0]
 
@@ -169,11 +171,11 @@ class MuJoCoDriver:
         self._seen.append(self._state())
 
     def release(self) -> None:
-        """Let the joints move freely, so that a hand can guide the arm."""
+        """Switch the servos off, so that the joints move freely and `hand` can guide the arm."""
         self._holds = False
 
     def hold(self) -> None:
-        """Hold the arm at its present position."""
+        """Switch the servos on to hold the arm at its present position."""
         self._holds = True
         self._reset_goal(self.data.qpos[self._q].copy())
 

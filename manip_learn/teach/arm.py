@@ -147,7 +147,8 @@ class TeachingArm:
         """Read the encoders and the drives.
 
         Returns:
-            Joint positions with encoder noise [rad or m], no velocities, and efforts of the drives [N m or N].
+            Joint positions with encoder noise (n,) [rad or m], None for velocities, and efforts of the drives (n,)
+            [N m or N].
         """
         q, _, effort = self._arm.read()
         return q, None, effort

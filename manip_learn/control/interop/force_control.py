@@ -161,7 +161,7 @@ def moveit_constraints(constraint: Constraint, q: ArrayLike) -> str:
         q: Posture.
 
     Raises:
-        ConstraintError: No task frame, or one seen from another moving frame.
+        ConstraintError: The constraint has no task frame, or its task frame is relative to another moving frame.
     """
     frame, robot = _frame_and_robot(constraint, q, "path constraints are in")
     of_link = np.linalg.inv(frame.hand)

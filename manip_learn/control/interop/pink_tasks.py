@@ -84,7 +84,7 @@ class PinkConstraintTask(_RobotTask):
         self.constraint, self.task = constraint, task
 
     def compute_error(self, configuration: Any) -> Float[np.ndarray, " s"]:
-        """Return -dt b at a configuration, shape (s,) in the rows' units.
+        """Return the error e = -dt b of Pink's task at a configuration, shape (s,) in the rows' units.
 
         Args:
             configuration: A `pink.Configuration`.
@@ -129,7 +129,7 @@ class PinkPolicyTask(_RobotTask):
         self.policy = policy
 
     def compute_error(self, configuration: Any) -> Float[np.ndarray, " n"]:
-        """Return -dt pi at a configuration, shape (n,) [rad or m].
+        """Return the error e = -dt pi of Pink's task at a configuration, shape (n,) [rad or m].
 
         Args:
             configuration: A `pink.Configuration`.

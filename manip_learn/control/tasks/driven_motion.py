@@ -394,10 +394,10 @@ class _Path:
         return row[:6] + (s - min(max(s, 0.0), float(self.ways[-1]))) * row[6:], row[6:]
 
     def pose(self, s: tuple[float]) -> Origin:
-        """Return the pose of the hand (4, 4) in the base frame.
+        """Return the pose of the hand (4, 4) in the base frame at a distance along the path.
 
         Args:
-            s: The distance along the path, one number [m].
+            s: The distance along the path, a tuple of one number [m].
         """
         out, (place, _) = self.begin.copy(), self._at(s[0])
         out[:3, 3], out[:3, :3] = place[:3], rotation_matrix(place[3:] / _LEVER) @ out[:3, :3]

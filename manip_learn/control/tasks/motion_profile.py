@@ -39,8 +39,9 @@ class MotionProfile:
         return abs(self.distance) / self.peak + self.ramp
 
     def at(self, t: float) -> tuple[float, float]:
-        """Return the distance covered [m or rad] and its rate [m/s or rad/s]; at rest before the start and after the
-        end.
+        """Return the distance covered [m or rad] and the speed [m/s or rad/s] at a time.
+
+        The speed is 0 before the start and after the end.
 
         Args:
             t: Time since the start [s].
@@ -89,7 +90,7 @@ class PathProfile(MotionProfile):
         return self._clock.duration
 
     def at(self, t: float) -> tuple[float, float]:
-        """Return the distance covered [m] and its rate [m/s].
+        """Return the distance covered [m] and the speed [m/s] at a time.
 
         Args:
             t: Time since the start [s].

@@ -297,7 +297,7 @@ class PointAttractor(Task):
         return way, None if E is None else rows.dot(E)
 
     def goal(self) -> Float[np.ndarray, "..."] | None:
-        """Return the target."""
+        """Return the target as an array."""
         return self.target
 
     def error_jacobian(self, constraint: Constraint, q: np.ndarray, t: float) -> Float[np.ndarray, "s nv"] | None:
@@ -366,7 +366,7 @@ class Track(SinglePassTask):
     does not get dt: without a `rate` it leaves out the velocity of the target.
 
     Args:
-        target: Function of the time [s] that returns :math:`r^*(t)`, numbers or a pose (4, 4), as for `PointAttractor`.
+        target: Function of the time [s] that returns :math:`r^*(t)`, in one of the forms of `PointAttractor.target`.
         rate: Function of the time [s] that returns :math:`dr^*/dt` along the rows of the features, shape (p,); None
             derives it from the target.
         gain: Rate [1/s].
