@@ -171,7 +171,7 @@ class MuJoCoDriver:
         self._seen.append(self._state())
 
     def release(self) -> None:
-        """Switch the servos off, so that the joints move freely and `hand` can guide the arm."""
+        """Let the joints move freely, so that `hand` can guide the arm; the drives only carry its weight."""
         self._holds = False
 
     def hold(self) -> None:
