@@ -1,4 +1,4 @@
-"""Write a file completely or not at all."""
+"""Atomic writing of files: a file is written completely or not at all."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from manip_learn.errors import OutputError
 def write_atomically(path: str | os.PathLike[str], content: bytes | str) -> Path:
     """Write `content` to `path` completely or not at all: readers see the old content or the new content, never a mix.
 
-    The bytes go to a temporary file in the same folder and are flushed to the disk; then the file replaces the old one
-    in one step. Missing folders are created. Text is written as UTF-8 with its line ends unchanged. Temporary files of
-    killed writers of the same name are removed.
+    The content is written to a temporary file in the same folder and flushed to the disk; then that file replaces the
+    old one in one step. Missing folders are created. Text is written as UTF-8 with unchanged line ends. Temporary files
+    that killed programs left for the same path are removed.
 
     Args:
         path: File to write; `~` is expanded, and a symbolic link stays a link: its target is replaced.
@@ -85,13 +85,13 @@ def has_no_room(error: OSError) -> bool:
     """Return True if an error means that the disk is full, the quota is used up or the file is too large.
 
     Args:
-        error: Error of the operating system, as writing raised it.
+        error: Error of the operating system that was raised during writing.
     """
     return error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 
 def check_folder(path: str | os.PathLike[str]) -> None:
-    """Refuse a path whose folder does not exist or is not writable, before the work whose result goes there begins.
+    """Check that the folder of an output file exists and is writable, before the output is computed.
 
     Args:
         path: File that will be written later; `~` is expanded.

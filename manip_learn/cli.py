@@ -1,7 +1,7 @@
-"""The command line: argv in, exit code out; all work is done in `commands`.
+"""Entry point of the command line; the commands are in `commands`.
 
-Only modules of the operating system are imported before Ctrl-C has a handler: Ctrl-C in the first moment gives no
-traceback either.
+Only modules of the standard library are imported before Ctrl-C has a handler, so that Ctrl-C never prints a traceback,
+not even in the first moment.
 """
 
 from __future__ import annotations
@@ -19,10 +19,10 @@ _phase = "idle"  # "working" while a command may have something to clean up, "in
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run the command line; no error ends in a traceback.
+    """Run the command line; errors are printed as messages, not as tracebacks.
 
     Args:
-        argv: Arguments without the name of the program; None reads `sys.argv`, handles Ctrl-C, and exits the process.
+        argv: Arguments without the name of the program. None reads `sys.argv`, handles Ctrl-C, and exits the process.
 
     Returns:
         Exit code: 0, 2 for bad input, 1 for an internal error, 130 for Ctrl-C.

@@ -1,7 +1,7 @@
-"""Errors: one base class, and one child for each problem that a caller can act on.
+"""Errors: one base class, and one subclass for each problem that a caller can handle.
 
 Every message gives the problem, its place, the actual value, the expected value and a remedy. The same facts are
-attributes, so that a program need not parse the sentence.
+attributes, so that a program need not parse the message.
 """
 
 from __future__ import annotations
@@ -35,13 +35,13 @@ _FLAGS: ContextVar[frozenset[str] | None] = ContextVar("flags of the command", d
 
 @contextmanager
 def advice_for_command(flags: Iterable[str]) -> Iterator[None]:
-    """Let errors within this context advise flags of the command line, and only flags of the running command.
+    """Open a context in which error messages name command-line flags, limited to those given, not Python arguments.
 
     Args:
-        flags: Flags that the command accepts, e.g. `"--constraints"`.
+        flags: Flags that the running command accepts, e.g. `"--constraints"`.
 
     Yields:
-        None; the former state is restored at the end.
+        Nothing; the previous setting is restored at the end.
     """
     token = _FLAGS.set(frozenset(flags))
     try:
@@ -51,15 +51,15 @@ def advice_for_command(flags: Iterable[str]) -> Iterator[None]:
 
 
 def advice(sentence: str, python: str, flag: str) -> str:
-    """Fill `{}` in a sentence with text that the caller can write: the Python argument, or the flag with its value.
+    """Fill the placeholder `{}` in a sentence with the Python argument, or with the flag if a command runs.
 
     Args:
         sentence: Sentence with `{}` for the argument or the flag.
-        python: Text for a call from Python, e.g. `"n_constraints=2"`.
+        python: Text for calls from Python, e.g. `"n_constraints=2"`.
         flag: Text for a running command, e.g. `"--constraints 2"`.
 
     Returns:
-        The sentence; an empty text if a command runs that lacks one of the flags.
+        The sentence; an empty text if the running command does not have these flags.
     """
     flags = _FLAGS.get()
     if flags is None:
@@ -68,14 +68,14 @@ def advice(sentence: str, python: str, flag: str) -> str:
 
 
 def printable(text: object, layout: bool = False) -> str:
-    r"""Return a text in which no character can move the cursor, colour the terminal or turn the direction of reading.
+    r"""Return a text that is safe to print: no character moves the cursor, sets colours or reverses the direction.
 
-    Names of files, columns, frames and joints may contain any character. Control characters (C0, C1, escape), marks of
-    direction and halves of characters are written as Python writes them, e.g. `\x1b`.
+    Names of files, columns, frames and joints may contain any character. Control characters (C0, C1, escape), direction
+    marks and unpaired surrogates are replaced by their Python escapes, e.g. `\x1b`.
 
     Args:
-        text: Any object; it is converted by `str`.
-        layout: Keep line ends and tabs.
+        text: Object of any type; it is converted by `str`.
+        layout: True to keep line ends and tabs.
 
     Returns:
         The text; printable characters are unchanged.
@@ -101,7 +101,7 @@ logging.getLogger("manip_learn").addFilter(_printable_record)  # the logger of a
 
 
 def counted(n: SupportsInt, noun: str) -> str:
-    """Return a number with its noun: "1 row", "2 trajectories", "3 stretches".
+    """Return a number with a noun in the singular or plural: "1 row", "2 trajectories", "3 stretches".
 
     Args:
         n: Number; thousands are separated by commas.
@@ -115,7 +115,7 @@ def counted(n: SupportsInt, noun: str) -> str:
 
 
 def named(noun: str, names: Iterable[str]) -> str:
-    """Return names with their noun: "joint a", "joints a and b".
+    """Return a noun followed by names: "joint a", "joints a and b".
 
     Args:
         noun: Noun in the singular.
@@ -129,15 +129,15 @@ def named(noun: str, names: Iterable[str]) -> str:
 
 
 def under_new_names(who: str, former: Mapping[str, str], renamed: Mapping[str, Any]) -> dict[str, Any]:
-    """Return arguments with former names under their present names; until 0.4.
+    """Return arguments that were passed by their former names under their present names; until 0.4.
 
     Args:
-        who: Function or class that was called, for the error.
-        former: Former name -> present name.
-        renamed: Former name -> value, as the caller passed them.
+        who: Name of the called function or class, for the error.
+        former: Mapping from former to present names.
+        renamed: Values that the caller passed, by name.
 
     Raises:
-        TypeError: There is no such argument.
+        TypeError: A name in `renamed` is not a former name.
     """
     for name in renamed:
         if name not in former:
@@ -146,10 +146,12 @@ def under_new_names(who: str, former: Mapping[str, str], renamed: Mapping[str, A
 
 
 def an(given: object) -> str:
-    """Return the kind of a value: `"a Robot"`, `"an ndarray of shape (7,)"`; `"None"`; a class as `"the class Robot"`.
+    """Return the type of a value for a message.
+
+    Examples are `"a Robot"`, `"an ndarray of shape (7,)"`, `"None"`, and `"the class Robot"` for a class itself.
 
     Args:
-        given: Any value; an attribute `shape` is included.
+        given: Value of any type; its `shape`, if it has one, is included.
     """
     if given is None:
         return "None"
@@ -162,10 +164,11 @@ def an(given: object) -> str:
 
 
 def error_in_words(value: float, unit: str) -> str:
-    """Return an uncertainty in words: `"0.0008 degrees"`, `"7.4 degrees"`; at least `"better than 0.0001 degrees"`.
+    """Return an uncertainty with its unit: `"0.0008 degrees"`, `"7.4 degrees"`, or `"better than 0.0001 degrees"`.
 
     Args:
-        value: Uncertainty in that unit; it is rounded to one digit below 0.095, else to two.
+        value: Uncertainty in `unit`. It is rounded to one significant digit below 0.095, otherwise to two; a value
+            below 0.0001 is not printed.
         unit: Name of the unit.
     """
     if value < 1e-4:  # more digits are useless, and 3e-06 is hard to read
@@ -184,31 +187,31 @@ def listed(words: Iterable[str]) -> str:
 
 
 def few(words: Sequence[str], most: int = 8, between: str = ", ") -> str:
-    """Return the first words and the number of the others, e.g. "a, b and 3 more"; "none" without any.
+    """Return the first words of a list and the number of the others, e.g. "a, b and 3 more"; "none" for no words.
 
     Args:
-        words: Words.
-        most: Number of words to show; the default is the number of joints of a typical arm.
-        between: Separator.
+        words: Words to list.
+        most: Largest number of words to show.
+        between: Separator between the words.
     """
     more = f" and {len(words) - most} more" if len(words) > most else ""
     return between.join(words[:most]) + more or "none"
 
 
 def number_if_known(n: int) -> str:
-    """Return the advice to set the number of rows, as the end of a sentence.
+    """Return the advice to set the number of constraint rows if it is known, as the end of a sentence.
 
     Args:
         n: Number of rows in the example.
 
     Returns:
-        Text that begins with a comma; the example is left out if the running command has no `--constraints`.
+        Text that begins with a comma; without the example if the running command has no flag `--constraints`.
     """
     return ", or give the number of rows if you know it" + advice(" ({})", f"n_constraints={n}", f"--constraints {n}")
 
 
 def spoken(python: str, command: str) -> str:
-    """Return the text for the present caller, Python or the command line.
+    """Return one of two texts: the first if the library is called from Python, the second if a command runs.
 
     Args:
         python: Text if the library is called from Python.
@@ -218,7 +221,7 @@ def spoken(python: str, command: str) -> str:
 
 
 class ManipLearnError(Exception):
-    """Base of all errors raised on purpose by manip_learn.
+    """Base class of all errors that manip_learn raises on purpose.
 
     Attributes:
         code: Short stable name of the reason, e.g. `"option"`; docs/troubleshooting.md has an entry for each.
@@ -238,7 +241,8 @@ class ManipLearnError(Exception):
         """Return the facts of the message for programs.
 
         Returns:
-            Attribute -> value that JSON can hold, paths as texts; without the code and without None.
+            Values of the attributes by name, as JSON can represent them (paths as texts); without `code`, and without
+            attributes that are None.
         """
         values = {key: value for key, value in vars(self).items() if key != "code" and value is not None}
         return {key: str(value) if isinstance(value, Path) else value for key, value in values.items()}
@@ -272,18 +276,18 @@ class RobotError(_InFileError):
 
     Attributes:
         code: Short stable name of the reason, e.g. `"not-xml"`.
-        path: File of the description, or None.
-        line: Line in the file, counted from 1, or None.
+        path: File of the description; None if there is no file.
+        line: Line of the fault in the file, counted from 1; None if it has none.
     """
 
     code = "robot"
 
 
 class UnknownNameError(ManipLearnError):
-    """A name that the robot does not have.
+    """The robot, or another collection of names, does not contain a name.
 
     Attributes:
-        kind: Kind of the missing thing: `"frame"`, `"joint"`, `"robot"`, ...
+        kind: Kind of the name: `"frame"`, `"joint"`, `"robot"`, ...
         name: The unknown name.
         near: The closest names that exist.
     """
@@ -312,7 +316,9 @@ class UnknownNameError(ManipLearnError):
 
 
 def closest_names(name: str, known: Iterable[str], n: int = 4) -> list[str]:
-    """Return the known names that look like a name: first by similarity, then names that contain it or are part of it.
+    """Return the known names nearest to an unknown one.
+
+    Similar names come first, then names that contain it or are contained in it.
 
     Args:
         name: Unknown name; case does not matter.
@@ -327,25 +333,25 @@ def closest_names(name: str, known: Iterable[str], n: int = 4) -> list[str]:
 
 
 class ConfigurationError(ManipLearnError):
-    """A configuration or velocity vector has the wrong size or holds NaN or infinity."""
+    """A setting is invalid, or a configuration or velocity vector has the wrong size or contains NaN or infinity."""
 
     code = "posture"
 
 
 class FeatureError(ManipLearnError):
-    """A feature map cannot be built or evaluated as asked."""
+    """A feature map cannot be built or evaluated with the given arguments."""
 
     code = "features"
 
 
 @final
 class NumberOfConstraintsError(FeatureError):
-    """A number of constraints that is impossible for the features.
+    """The number of constraints is impossible for the features.
 
     Attributes:
-        given: The number that was passed.
-        most: The largest possible number; the smallest is 1.
-        features: The features, in words.
+        given: Number that was passed.
+        most: Largest possible number; the smallest is 1.
+        features: Description of the features.
     """
 
     code = "number-of-constraints"
@@ -359,13 +365,13 @@ class NumberOfConstraintsError(FeatureError):
 
 
 class ConstraintError(ManipLearnError):
-    """A selection matrix is unusable (wrong size, dependent rows, not finite)."""
+    """A constraint cannot be built or used as requested, e.g. its selection matrix has dependent rows."""
 
     code = "constraint"
 
 
 class ConstraintMismatchError(ConstraintError):
-    """A saved constraint belongs to another robot or another kind of file."""
+    """A saved constraint belongs to another robot, or the file contains no constraint."""
 
     code = "constraint-file"
 
@@ -375,9 +381,9 @@ class RecordingError(_InFileError):
 
     Attributes:
         code: Short stable name of the reason, e.g. `"missing-joint"`.
-        path: File of the recording, or None.
-        line: Line in the file, counted from 1, or None.
-        column: Column name, or None.
+        path: File of the recording; None for data in memory.
+        line: Line of the fault in the file, counted from 1; None if it has none.
+        column: Name of the column with the fault; None if it concerns no single column.
     """
 
     code = "recording"
@@ -388,8 +394,9 @@ class NotIdentifiableError(ManipLearnError):
 
     Attributes:
         code: Short stable name of the reason, e.g. `"weak-gap"`.
-        gaps: Number of rows -> the gap that supports it, where gaps were computed: 10 is clear.
-        advice: Findings about the data, and next steps.
+        gaps: For each number of rows the gap, the ratio of free to constrained motion that supports it (10 and above is
+            clear); empty if gaps were not computed.
+        advice: Findings about the data, and next steps, in sentences.
     """
 
     def __init__(
@@ -407,10 +414,10 @@ class NotIdentifiableError(ManipLearnError):
 
 @final
 class NotFittedError(ManipLearnError, AttributeError):
-    """A result of a learner is read before `fit`; an AttributeError too, so that `hasattr` works.
+    """A result of a learner is read before `fit`; also an AttributeError, so that `hasattr` works.
 
     Attributes:
-        name: Name of the attribute.
+        name: Name of the attribute that was read.
     """
 
     code = "not-fitted"
@@ -425,7 +432,7 @@ class NotFittedError(ManipLearnError, AttributeError):
 
 
 class TargetError(ManipLearnError):
-    """A task target or a joint target has the wrong size or is not finite."""
+    """A target, distance or other input of a task is invalid, e.g. has the wrong size or is not finite."""
 
     code = "target"
 
@@ -441,10 +448,10 @@ class NoPlanError(ManipLearnError):
     """The motion is infeasible from every posture that was tried.
 
     Attributes:
-        largest: Feasible part of the motion [m or rad]; 0 if even the grasp pose is out of reach.
-        posture: Joint positions from which that part is feasible; None if there are none.
-        stopped_by: Reason for the stop there, in words.
-        helps: Changes that make the whole motion feasible, in sentences; empty if no change that was tried does.
+        largest: Longest feasible part of the motion [m or rad]; 0 if even the grasp pose is out of reach.
+        posture: Joint positions from which that part is feasible [rad or m]; None if there are none.
+        stopped_by: Reason why the motion ends there, in words.
+        helps: Changes that make the whole motion feasible, in sentences; empty if none of the tried changes does.
     """
 
     code = "no-plan"
@@ -467,7 +474,7 @@ class NoPlanError(ManipLearnError):
 
 
 class ExperimentError(ManipLearnError):
-    """An experiment cannot be run as asked, e.g. with zero trials."""
+    """An experiment cannot be run with the given arguments, e.g. with zero trials."""
 
     code = "experiment"
 
@@ -492,7 +499,7 @@ class MissingExtraError(ManipLearnError):
     """An optional dependency is not installed.
 
     Attributes:
-        extra: Name of the extra that brings it.
+        extra: Name of the extra that installs it.
     """
 
     code = "missing-extra"

@@ -34,16 +34,16 @@ def unit(size: int) -> Float[np.ndarray, "n n"]:
 def inverse_singular_values(
     sigma: Float[np.ndarray, " k"], shape: tuple[int, ...], inverse: Inverse = "exact"
 ) -> Float[np.ndarray, " k"]:
-    """Return 1/sigma, with zeros for dropped values, so that A^+ = V diag(1/sigma) U^T.
+    """Return the inverse singular values 1/sigma of the pseudo-inverse A^+ = V diag(1/sigma) U^T, 0 for dropped ones.
 
     Args:
-        sigma: Singular values of A, in falling order.
+        sigma: Singular values (k,) of A, in descending order.
         shape: Shape of A.
-        inverse: `"exact"` inverts every singular value above the smallest normal number, however small;
-            `"truncated"` drops values below Matlab's tolerance max(size(A)) * eps(norm(A)), as the paper does.
+        inverse: `"exact"` inverts all singular values above the smallest normal floating-point number; `"truncated"`
+            drops values below Matlab's tolerance max(size(A)) * eps(norm(A)), as the paper does.
 
     Raises:
-        ValueError: Another name of an inverse.
+        ValueError: `inverse` is another text.
     """
     out = np.zeros_like(sigma)
     if inverse == "truncated":
@@ -57,10 +57,10 @@ def inverse_singular_values(
 
 
 def finite(values: object, *shape: int) -> np.ndarray | None:
-    """Convert values to a float64 array of one shape.
+    """Convert values to a float64 array of a given shape.
 
     Args:
-        values: Anything that NumPy may convert to an array.
+        values: Value of any type.
         *shape: Expected shape; none for a scalar.
 
     Returns:
@@ -89,7 +89,7 @@ def rank_of(sigma: Float[np.ndarray, " k"], shape: tuple[int, ...]) -> int:
     """Return the numerical rank: the number of singular values above Matlab's tolerance.
 
     Args:
-        sigma: Singular values of A, in falling order.
+        sigma: Singular values of A, in descending order.
         shape: Shape of A.
     """
     values = sigma.tolist()
@@ -104,29 +104,27 @@ def null_basis(A: Float[np.ndarray, "s n"]) -> Float[np.ndarray, "n k"]:
     """Return an orthonormal basis Z of the null space of A, one column per dimension.
 
     Args:
-        A: Matrix of any shape; its numerical rank is by Matlab's tolerance.
+        A: Matrix of any shape; its rank is determined with Matlab's tolerance.
     """
     _, sigma, Vt = np.linalg.svd(A, full_matrices=True)
     return Vt[rank_of(sigma, A.shape) :].T
 
 
 def orthonormal_rows(M: Float[np.ndarray, "*n s p"]) -> Float[np.ndarray, "*n s p"]:
-    """Return the matrix with orthonormal rows closest to M (polar factor), for each matrix of a stack.
-
-    It keeps the row space, and changes the rows as little as possible.
+    """Return the matrix with orthonormal rows that is closest to M and has the same row space (polar factor).
 
     Args:
-        M: Matrices with independent rows.
+        M: Matrix (s, p), or a stack of matrices (n, s, p), with independent rows.
     """
     U, _, Vt = np.linalg.svd(M, full_matrices=False)
     return U @ Vt
 
 
 def pivoted_rows(M: Float[np.ndarray, "s p"]) -> Float[np.ndarray, "s p"]:
-    """Return orthonormal rows that depend only on the row space of M, on any machine.
+    """Return orthonormal rows that depend only on the row space of M, and not on rounding errors.
 
-    The first row is the projection of the axis nearest to the row space, the next one the projection of the axis
-    nearest to the rest of it, and so on (Gram-Schmidt with pivoting).
+    The first row is the normalised projection of the coordinate axis nearest to the row space. The next row is found in
+    the same way in the orthogonal complement of the first one, and so on (Gram-Schmidt with pivoting).
 
     Args:
         M: Matrix with independent rows.
@@ -146,7 +144,7 @@ def row_basis(M: Float[np.ndarray, "s p"]) -> Float[np.ndarray, "r p"]:
     """Return orthonormal rows that span the row space of M.
 
     Args:
-        M: Matrix of any shape; its numerical rank is by Matlab's tolerance.
+        M: Matrix of any shape; its rank is determined with Matlab's tolerance.
     """
     _, sigma, Vt = np.linalg.svd(M, full_matrices=False)
     return Vt[: rank_of(sigma, M.shape)]
@@ -156,20 +154,21 @@ def complement_rows(M: Float[np.ndarray, "s p"]) -> Float[np.ndarray, "k p"]:
     """Return orthonormal rows that span the orthogonal complement of the row space of M.
 
     Args:
-        M: Matrix of any shape; its numerical rank is by Matlab's tolerance.
+        M: Matrix of any shape; its rank is determined with Matlab's tolerance.
     """
     return null_basis(M).T
 
 
 def whitener(S: Float[np.ndarray, "n n"], least: float = 1e-12) -> Float[np.ndarray, "r n"]:
-    """Return W with W S W^T = I on the directions that a symmetric S >= 0 determines.
+    """Return a whitening matrix W, so that W S W^T = I, of a symmetric positive semidefinite matrix S.
 
     Args:
-        S: Sum of products, or curvature; the unknowns may be in different units.
-        least: Eigenvalue over the largest, each unknown scaled to its own size, below which a direction is rounding.
+        S: Sum of products, or curvature; the unknowns may have different units.
+        least: Smallest eigenvalue, relative to the largest one after scaling S to a unit diagonal, that is not a
+            rounding error.
 
     Returns:
-        One row per determined direction; no rows if there is none.
+        shape (r, n), one row per eigenvalue that is not a rounding error; r may be 0.
     """
     size = np.sqrt(np.maximum(np.diag(S), 0.0))
     scale = np.divide(1.0, size, out=np.zeros_like(size), where=size > 0.0)
@@ -210,15 +209,15 @@ def row_space_angles(stack: Float[np.ndarray, "n s p"], M: Float[np.ndarray, "s 
 
 
 def batch_row_spaces(A: Float[np.ndarray, "n s nv"]) -> tuple[Float[np.ndarray, "n nv nv"], Float[np.ndarray, "n s s"]]:
-    """Compute bases of row and null spaces of a stack, A_n^T = Q_n[:, :s] R_n; see `row_bases`.
+    """Compute bases of the row and null spaces of a stack of matrices, by QR decompositions A_n^T = Q_n[:, :s] R_n.
 
-    The null basis is Z_n = Q_n[:, s:], the pseudo-inverse A_n^+ = Q_n[:, :s] R_n^{-T}.
+    The basis of the null space is Z_n = Q_n[:, s:], and the pseudo-inverse A_n^+ = Q_n[:, :s] R_n^{-T}.
 
     Args:
-        A: Constraint matrices.
+        A: Stack of n constraint matrices.
 
     Returns:
-        The orthogonal matrices Q_n and the upper triangles R_n.
+        The orthogonal matrices Q_n (n, nv, nv) and the upper triangular matrices R_n (n, s, s).
     """
     Q, R = row_bases(A.transpose(2, 1, 0), A.shape[2])
     return np.ascontiguousarray(Q.transpose(2, 0, 1)), np.ascontiguousarray(R.transpose(2, 0, 1))
@@ -227,17 +226,17 @@ def batch_row_spaces(A: Float[np.ndarray, "n s nv"]) -> tuple[Float[np.ndarray, 
 def row_bases(
     columns: Float[np.ndarray, "nv s n"], size: int | None = None
 ) -> tuple[Float[np.ndarray, "nv k n"], Float[np.ndarray, "s s n"]]:
-    """Compute bases of the row spaces, A_n^T = Q_n R_n, with the matrices side by side in the last axis.
+    """Compute bases of the row spaces of n matrices, by QR decompositions A_n^T = Q_n R_n.
 
-    Householder reflections are vectorised over the matrices: for such small matrices, the overhead of separate LAPACK
-    calls would exceed the arithmetic.
+    The index of the matrix is the last axis of all arrays. Householder reflections are vectorised over the matrices:
+    for such small matrices, the overhead of separate LAPACK calls would exceed the arithmetic.
 
     Args:
-        columns: A_n^T.
-        size: Number of columns of Q_n: s by default; nv adds the null bases, at five times the cost.
+        columns: Transposed matrices A_n^T (nv, s, n).
+        size: Number k of columns of Q_n: s by default; nv adds the bases of the null spaces, at five times the cost.
 
     Returns:
-        Q_n with orthonormal columns, and the upper triangles R_n.
+        Q_n (nv, k, n) with orthonormal columns, and the upper triangular matrices R_n (s, s, n).
     """
     nv, s, n = columns.shape
     work = np.array(columns, order="C")
@@ -268,22 +267,23 @@ def _libraries(with_scipy: bool) -> ThreadpoolController:
 
 
 def one_thread() -> AbstractContextManager[Any]:
-    """Return a context in which BLAS and LAPACK use one thread; the former number of threads is restored at its end.
+    """Return a context in which BLAS and LAPACK use one thread; at its end the previous number is restored.
 
     For matrices as small as a constraint's, a second thread costs more than it saves, and a different split of a sum
-    changes its last digits. Libraries loaded within the context are not limited: code that loads SciPy enters it again.
+    changes its last digits. Libraries that are loaded inside the context are not limited: code that loads SciPy has to
+    enter it again.
     """
     return _libraries("scipy.linalg" in sys.modules).limit(limits=1, user_api="blas")
 
 
 def invert_triangles(work: Float[np.ndarray, "s s n"]) -> Float[np.ndarray, "s s n"]:
-    """Invert upper triangles that lie side by side in the last axis, as `row_bases` returns them.
+    """Invert n upper triangular matrices, whose index is the last axis, as `row_bases` returns them.
 
     Args:
-        work: Upper triangles R_n.
+        work: Upper triangular matrices R_n (s, s, n).
 
     Returns:
-        The inverses; zero for a sample whose constraint loses rank, so that it has no influence.
+        The inverses (s, s, n); zeros for a singular matrix, so that its sample has no influence.
     """
     s = len(work)
     if s == 0:
@@ -300,14 +300,14 @@ def invert_triangles(work: Float[np.ndarray, "s s n"]) -> Float[np.ndarray, "s s
 
 
 def along_axes(rows: Float[np.ndarray, "k p"]) -> Float[np.ndarray, "k p"]:
-    """Return orthonormal rows of the same space, each aligned with one axis as far as possible.
+    """Return orthonormal rows of the same row space, each aligned with one coordinate axis as far as possible.
 
     Args:
         rows: Orthonormal rows.
 
     Returns:
-        The rows, sorted by the axis of their largest entry, which is positive; the axis with the largest share in the
-        space is aligned first.
+        The rows, sorted by the axis of their largest entry, which is positive. The first row is aligned with the axis
+        nearest to the row space, the next ones in the remaining space.
     """
     remaining, out = rows.copy(), []
     while remaining.shape[0]:
@@ -331,7 +331,7 @@ def manipulability_of(A: Float[np.ndarray, "s nv"]) -> float:
         A: Constraint matrix.
 
     Returns:
-        mu; 0 if A has more rows than columns.
+        The manipulability mu; 0 if A has more rows than columns.
     """
     if A.shape[0] > A.shape[1]:
         return 0.0

@@ -1,1 +1,1 @@
-"""Commands of `manip-learn`; `cli.py` parses and prints."""
+"""Commands of the program `manip-learn`."""

@@ -1,4 +1,4 @@
-"""`manip-learn audit`: judge every recorded episode by a constraint."""
+"""`manip-learn audit`: rank recorded episodes by their deviation from a constraint."""
 
 from __future__ import annotations
 
@@ -25,14 +25,14 @@ _MEASURES = (
 
 
 def audit(options: AuditOptions, progress: Progress) -> Answer:
-    """Measure and rank the episodes in some recordings; write them as CSV if a file is named.
+    """Measure and rank the episodes of recordings; write the ranking as CSV if a file is named.
 
     Args:
         options: Options of the command.
-        progress: Function of the name of a stage and its completed share.
+        progress: Function that is called with the name of a stage and its completed fraction, 0 to 1.
 
     Returns:
-        Audit as an answer.
+        Answer with the ranking.
     """
     constraint, robot = load_constraint(options.robot, options.constraint, options)
     source = RecordingSource(options.recordings, robot, progress=progress, **options.keywords())
@@ -45,8 +45,8 @@ def audit_answer(report: AuditReport, file: Path | None = None) -> Answer:
     """Return an audit as an answer: the episodes to leave out with the reasons, and the worst episodes.
 
     Args:
-        report: The audit.
-        file: Its table; None if it was not written.
+        report: Result of the audit.
+        file: CSV table of the audit; None if it was not written.
     """
     most = 20  # number of episodes on a terminal
     n = len(report.episodes)
@@ -63,7 +63,7 @@ def audit_answer(report: AuditReport, file: Path | None = None) -> Answer:
 
 
 def write_table(report: AuditReport, path: Path) -> Path:
-    """Write one line per recording as CSV, the worst first; a measure that is not defined is an empty cell.
+    """Write one line per recording as CSV, the worst first; cells of undefined measures are empty.
 
     Args:
         report: Audited recordings.

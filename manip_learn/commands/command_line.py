@@ -1,4 +1,4 @@
-"""Command-line parser: flags from dataclasses, help under headings, and the typed line."""
+"""Command-line parser: makes flags and their help from dataclasses, and checks output files before a command runs."""
 
 from __future__ import annotations
 
@@ -36,19 +36,19 @@ def attribute_texts(kind: object) -> dict[str, str]:
         kind: Class or module.
 
     Returns:
-        Name -> text.
+        Text of each attribute by its name.
     """
     entries = re.findall(r"^    (\w[\w ]*): (.*(?:\n {8}.*)*)", inspect.getdoc(kind) or "", re.MULTILINE)
     return {name: " ".join(text.split()) for name, text in entries}
 
 
 def command_function(options: type[Any], run: Callable[[Any], None]) -> Callable[..., None]:
-    """Return a function for typer that has the fields of some options as its parameters, and runs a command with them.
+    """Return a function for typer whose parameters are the fields of a class of options, and which runs the command.
 
     Args:
         options: Class of options. The first paragraph of its docstring is the help of the command, the second an
             example.
-        run: Function of an object of this class.
+        run: Function that runs the command; its argument is an object of this class.
     """
 
     def with_options(**given: Any) -> None:
@@ -77,10 +77,10 @@ def command_function(options: type[Any], run: Callable[[Any], None]) -> Callable
 
 
 class GroupedCommand(TyperCommand):
-    """Command whose options are listed under headings, and which checks its output files before it works."""
+    """Command whose help lists options under headings, and which checks its output files before it runs."""
 
     def format_help(self, ctx: Any, formatter: Any) -> None:
-        """Write an example that works, then the rest of the help.
+        """Write the help: an example that works, then the rest.
 
         Args:
             ctx: Context of the parser.
@@ -91,7 +91,7 @@ class GroupedCommand(TyperCommand):
         super().format_help(ctx, formatter)
 
     def format_options(self, ctx: Any, formatter: Any) -> None:
-        """Write the arguments, and the options for beginners; under `--help-all` all options by topic.
+        """Write the arguments and the options for beginners; with `--help-all` all options by topic.
 
         Args:
             ctx: Context of the parser.
@@ -143,7 +143,7 @@ class ProgramHelp(TyperGroup):
     """Group of all commands, whose help begins with an example."""
 
     def format_help(self, ctx: Any, formatter: Any) -> None:
-        """Write the first example to try, then the rest of the help.
+        """Write the help: the first example to try, then the rest.
 
         Args:
             ctx: Context of the parser.
@@ -154,10 +154,10 @@ class ProgramHelp(TyperGroup):
 
 
 def refuse_to_replace(outputs: Sequence[tuple[str, Path]], inputs: Iterable[str | Path | Sequence[str]]) -> None:
-    """Refuse to overwrite an input, whatever path, link or hard link names it.
+    """Refuse to overwrite an input, also if another path, a link or a hard link leads to it.
 
     Args:
-        outputs: Flags and paths.
+        outputs: Pairs of a flag and the path of its output.
         inputs: Files, folders of recordings, names of robots, drivers as FILE.py:NAME, or lists of these.
 
     Raises:
@@ -189,7 +189,7 @@ def _names_in(source: Path) -> set[str]:
 
 
 def input_files(text: str) -> Iterator[Path]:
-    """Yield the file or folder that an argument names, and the recordings in a folder.
+    """Yield the file or folder that an argument names, and for a folder also the recordings in it.
 
     Args:
         text: File, folder, driver as FILE.py:NAME, or name of a robot.
@@ -221,7 +221,7 @@ def flags_of(program: Any, arguments: Sequence[str]) -> set[str]:
 
     Args:
         program: Group of commands of typer.
-        arguments: Words of a command line.
+        arguments: Arguments of a command line, with the name of the command.
     """
     command = next((program.commands[a] for a in arguments if a in program.commands), program)
     return {flag for parameter in command.params for flag in (*parameter.opts, *parameter.secondary_opts)}

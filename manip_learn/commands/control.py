@@ -35,15 +35,15 @@ _ROLLOUT = (
 
 
 class Aim(NamedTuple):
-    """Comparison of a typed target with the end of a motion.
+    """Comparison of a target with the end of a motion.
 
     Attributes:
-        distance: Full distance from the tip to the target [m]; None if the target has no position.
-        error: Distance to the target along all rows that it has numbers for [m or rad].
-        off: Distance from the target along the held rows [m or rad]: 0 on the line, the plane, ... through the target.
-        ignored: Directions of the target that are not driven, in words.
-        crossed: Motion of the held rows that was necessary to reach the target [m or rad]; 0 where they may move (b
-            varies).
+        distance: Distance from the tip to the target [m]; None if the target has no position.
+        error: Distance to the target along all rows for which the target has numbers [m or rad].
+        off: Distance from the target along the held rows [m or rad]: 0 on the line, plane, ... through the target.
+        ignored: Names of the target's directions that are not driven.
+        crossed: Motion along the held rows that was necessary to reach the target [m or rad]; 0 for rows that the
+            demonstrator moved, too (b varies).
     """
 
     distance: float | None
@@ -58,14 +58,14 @@ def control(options: ControlOptions, progress: Progress) -> Answer:
 
     Args:
         options: Options of the command.
-        progress: Function of the name of a stage and its completed share.
+        progress: Function that is called with the name of a stage and its completed fraction, 0 to 1.
 
     Returns:
         Outcome of the motion, with the files that were written.
 
     Raises:
-        TargetError: A target together with a distance, an unknown word for `rows`, or a plan without a motion; with
-            `check`, a distance or a target that is not reached, before anything is written.
+        TargetError: A target and a distance are both given, `rows` is unknown, or a plan is requested without a motion;
+            with `check`, the distance or the target is not reached (then no file is written).
         NoPlanError: With `--plan`, the whole motion is infeasible from every configuration.
         ManipLearnError: Another error in the robot, the constraint file, the numbers or the output.
     """
@@ -114,22 +114,22 @@ def run(
     q0: np.ndarray,
     progress: Progress,
 ) -> tuple[ml.Rollout, Answer]:
-    """Simulate a task, planned or not, and describe its outcome.
+    """Simulate a task, with or without a plan, and describe its outcome.
 
     Args:
-        options: Plan, or policy, gains, duration and step. With a typed `target`, the task is completed when the tip is
-            there; otherwise when the driven rows are.
+        options: Options of the command: plan, or policy, gains, duration and step. With `target` the task is complete
+            when the tip is at the target; otherwise when the driven rows are.
         constraint: Constraint to keep.
-        robot: Its robot.
-        task: Motion or target.
+        robot: Robot of the constraint.
+        task: Motion along a free direction, or a task with a target.
         q0: Start configuration (nq,).
-        progress: As for `simulate`.
+        progress: Function that is called with the name of a stage and its completed fraction, 0 to 1.
 
     Returns:
         Rollout, and its outcome as an answer.
 
     Raises:
-        TargetError: A plan of a task that is no motion; or the error of `plan`.
+        TargetError: A plan is requested for a task without a motion; or an error of `plan`.
         NoPlanError: The whole motion is infeasible from every configuration.
     """
     dt, way, result = options.dt, None, None
@@ -171,8 +171,8 @@ def outcome(
         constraint: Constraint to keep.
         rollout: The motion.
         tolerance: Final error that counts as reached [m or rad].
-        way: Outcome of a motion along the mechanism; None without one.
-        aim: Outcome of a typed target; None without one.
+        way: Outcome of a motion along the mechanism; None if there was none.
+        aim: Comparison with a target; None if there was none.
 
     Returns:
         Answer with the rows of the result table.

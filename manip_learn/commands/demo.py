@@ -18,15 +18,15 @@ from manip_learn.recordings.files import shipped_recordings
 
 
 class DemoScene(NamedTuple):
-    """One demo: recordings, and a start that is nearly singular for the learnt task.
+    """Demo: recordings, and a start that is nearly singular for the learnt task.
 
     Attributes:
-        recordings: Folder among the shipped recordings.
-        frame: Frame that was guided.
+        recordings: Name of the shipped recordings.
+        frame: Name of the guided frame.
         title: Title of the page.
         story: Description of the start and its typical outcome, for the terminal.
-        start: Joint positions [rad].
-        control: Options of the rollouts: `rest` is the rest posture of the attractor policy.
+        start: Joint positions at the start [rad].
+        control: Options of the rollouts, as keywords; `rest` is the rest posture of the attractor policy.
         learn: Options for learning.
         target: Target of the feature rows, in the base frame; None to repeat the demonstrated motion, without turning.
     """
@@ -69,13 +69,13 @@ def demo(options: DemoOptions, progress: Progress) -> Answer:
     """Learn a task, reproduce it from one nearly singular start without and with singularity avoidance, and write a
     replay.
 
-    "without" has no null-space motion; "with" plans the grasp configuration if a fixture is moved, and climbs mu if a
-    target is reached. `all_policies` compares a plan and all policies in one picture. The constraint and the rollouts
-    are written too.
+    The rollout without avoidance has no null-space motion. The rollout with avoidance plans the grasp configuration if
+    the task moves a fixture, and uses `ManipulabilityAscent` if the task has a target. `all_policies` compares a plan
+    and all policies in one replay. The constraint and the rollouts are also written to files.
 
     Args:
         options: Options of the command.
-        progress: Function of the name of a stage and its completed share.
+        progress: Function that is called with the name of a stage and its completed fraction, 0 to 1.
 
     Returns:
         Answer of learning, with a row for each rollout.

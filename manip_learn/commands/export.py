@@ -33,13 +33,13 @@ def export(options: ExportOptions, progress: Progress) -> Answer:
 
     Args:
         options: Options of the command.
-        progress: Function of the name of a stage and its completed share.
+        progress: Function that is called with the name of a stage and its completed fraction, 0 to 1.
 
     Returns:
         Answer with the names of the files.
 
     Raises:
-        OutputError: An unknown format, several trajectories for one file, or a file that cannot be written.
+        OutputError: The format is unknown, there are several trajectories for one file, or a file cannot be written.
         ManipLearnError: An error in the robot or the recordings.
     """
     progress("writing", 0.0)

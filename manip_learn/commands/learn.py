@@ -31,10 +31,10 @@ def learn_task(options: LearnOptions, progress: Progress = silent) -> Answer:
 
     Args:
         options: Options of the command.
-        progress: Function of the name of a stage and its completed share.
+        progress: Function that is called with the name of a stage and its completed fraction, 0 to 1.
 
     Returns:
-        Report as an answer.
+        Answer with the learnt constraint and its evidence.
     """
     return fit(options, progress)[1]
 
@@ -42,18 +42,19 @@ def learn_task(options: LearnOptions, progress: Progress = silent) -> Answer:
 def fit(options: LearnOptions, progress: Progress = silent) -> tuple[ml.ConstraintLearner, Answer]:
     """Learn a constraint from recordings; write it, and a replay of the recordings, to files if they are named.
 
-    With `relative_to` the velocity of the frame is relative to that other frame, in its axes; `reference` is ignored.
+    With `relative_to` the features are the velocity of the guided frame relative to that frame, along the axes of that
+    frame, and `reference` is ignored.
 
     Args:
         options: Options of the command.
-        progress: Function of the name of a stage and its completed share.
+        progress: Function that is called with the name of a stage and its completed fraction, 0 to 1.
 
     Returns:
         Fitted learner, and the report as an answer.
 
     Raises:
         FeatureError: Unknown axes or reference.
-        RecordingError: An option for recordings in memory, together with `dask`.
+        RecordingError: `dask` is used together with an option that needs all recordings in memory.
         ManipLearnError: Another error in the robot, the recordings, the settings or the output.
     """
     references = _REFERENCES.get(options.reference)
@@ -91,11 +92,11 @@ def fit(options: LearnOptions, progress: Progress = silent) -> tuple[ml.Constrai
 
 
 def learning_answer(constraints: Sequence[ml.Constraint], reports: Sequence[LearningReport]) -> Answer:
-    """Return constraints with their evidence as an answer; the first, best supported one comes first.
+    """Return learnt constraints with their evidence as an answer.
 
     Args:
-        constraints: Learnt constraints.
-        reports: Evidence of each of them.
+        constraints: Learnt constraints, the best supported one first.
+        reports: Report of each constraint.
     """
     constraint, report = constraints[0], reports[0]
     mechanism, demo, title, sentences = report.mechanism, constraint.shown, report.sentence, list[str]()
@@ -153,14 +154,14 @@ def _next_command(options: LearnOptions, whole: ml.Constraint, constraint: ml.Co
 def load_to_learn(
     options: LearnOptions, progress: Progress = silent
 ) -> tuple[ml.Robot, ml.Demonstrations | ml.RecordingSource, str, list[str]]:
-    """Load robot and recordings, and choose the frame; lock joints that are not recorded and do not move it.
+    """Load robot and recordings, and choose the frame; lock joints that are not recorded and do not move the frame.
 
-    Such a joint (a finger of a gripper, a joint of the other arm) cannot affect the constraint. For a cluster the
-    recordings stay files, of which the first is read.
+    Such a joint (a finger of a gripper, a joint of the other arm) cannot affect the constraint. With `dask` the
+    recordings are not loaded: only the first file is read here.
 
     Args:
         options: Options of `learn`.
-        progress: Function of the name of a stage and its completed share.
+        progress: Function that is called with the name of a stage and its completed fraction, 0 to 1.
 
     Returns:
         Robot, recordings, name of the frame, and notes on locked joints.

@@ -1,4 +1,4 @@
-"""Robot of a command, with joints locked as in its files, and the guided frame."""
+"""Loading of a command's robot, with the locked joints of the files that it reads, and choice of the guided frame."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ from manip_learn.robot.tips import distance_to_last_joint
 
 
 def load_for_files(name: str, files: Sequence[str], loading: RobotOptions) -> ml.Robot:
-    """Load the robot with the joints locked that were locked when the files were made, if they contain it.
+    """Load a robot, and lock the joints that were locked when the files were written.
 
-    Rollouts and exported recordings do.
+    Rollouts and exported recordings state their locked joints. Other files have no effect.
 
     Args:
         name: Name of the robot or its file.
@@ -28,7 +28,7 @@ def load_for_files(name: str, files: Sequence[str], loading: RobotOptions) -> ml
         loading: Options for loading.
 
     Returns:
-        Robot with these joints locked.
+        The robot.
     """
     paths = (path for text in files for path in islice(input_files(text), 2))  # a folder, and its first file
     header, file = next(((header, path) for path in paths if (header := file_header(path)) is not None), (None, Path()))
@@ -45,7 +45,7 @@ def load_for_files(name: str, files: Sequence[str], loading: RobotOptions) -> ml
 
 
 def locked_joint_notes(robot: ml.Robot, loading: RobotOptions) -> list[str]:
-    """Return a note on joints that are locked because the files have them locked; empty if there are none.
+    """Return a note on joints that are locked because the files state it; an empty list if there are none.
 
     Args:
         robot: The robot.
@@ -56,7 +56,7 @@ def locked_joint_notes(robot: ml.Robot, loading: RobotOptions) -> list[str]:
 
 
 def with_joints(robot: ml.Robot, joints: Sequence[str], name: str, loading: RobotOptions) -> ml.Robot:
-    """Return a robot in which only these joints move, and its other joints are locked.
+    """Return a robot in which only the given joints move, and all others are locked.
 
     Args:
         robot: Loaded robot.
@@ -73,7 +73,7 @@ def with_joints(robot: ml.Robot, joints: Sequence[str], name: str, loading: Robo
 
 
 def robot_of_constraint(robot_name: str, constraint_file: str, loading: RobotOptions) -> ml.Robot:
-    """Load the robot with the joints locked that were locked when the constraint was learnt, and with the same objects.
+    """Load a robot with the locked joints and the objects with which a constraint was learnt.
 
     Args:
         robot_name: Name of the robot or its file.
@@ -85,7 +85,7 @@ def robot_of_constraint(robot_name: str, constraint_file: str, loading: RobotOpt
 
     Raises:
         ConstraintMismatchError: The constraint was learnt on another robot, or with other locked joints or objects than
-            the options name.
+            the options state.
     """
     try:
         made_with = RobotIdentity.from_dict(read_constraint_file(Path(constraint_file))["robot"])
@@ -111,7 +111,7 @@ def robot_of_constraint(robot_name: str, constraint_file: str, loading: RobotOpt
 
 
 def load_constraint(robot_name: str, constraint_file: str, loading: RobotOptions) -> tuple[ml.Constraint, ml.Robot]:
-    """Load the constraint in a file, and its robot; errors as of `robot_of_constraint` and `Constraint.load`.
+    """Load a constraint from a file, and its robot; errors as in `robot_of_constraint` and `Constraint.load`.
 
     Args:
         robot_name: Name of the robot or its file.

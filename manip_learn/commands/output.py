@@ -1,4 +1,4 @@
-"""Answers of commands: progress, JSON documents, texts for people, and refusals."""
+"""Output of commands: answers as JSON documents and as text, progress, and errors."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ SENTENCES |= {"stopped_by", "why", "helps", "hint", "story"}
 
 
 def for_json(value: object, sentence: bool = False) -> Any:
-    """Return a value for JSON: null in place of NaN, which JSON does not have, names of files, and printable sentences.
+    """Return a value that JSON can represent: None instead of NaN, paths as texts, and sentences that are printable.
 
     Args:
         value: Value to convert.
-        sentence: True if strings are sentences.
+        sentence: True if texts are sentences, in which control characters are escaped.
     """
     if isinstance(value, Path):
         return str(value)
@@ -44,21 +44,21 @@ def for_json(value: object, sentence: bool = False) -> Any:
 @final
 @dataclass(frozen=True)
 class Answer:
-    """Answer of a command: a document for programs, and the same for people, printed in this order.
+    """Answer of a command: a JSON document for programs, and text for people, which is printed in this order.
 
     Attributes:
         content: JSON document.
         title: First sentence.
-        sentences: More sentences, each on its own line; empty ones are left out, here and below.
-        facts: Name -> words.
+        sentences: More sentences, each on its own line; empty sentences are not printed, here and below.
+        facts: Names of facts, and their values as text.
         remarks: Sentences about the facts.
-        rows: Lines of a table, heading -> words; the most important headings first.
+        rows: Lines of a table: for each heading the text of its cell; the most important headings first.
         warnings: Warnings, and obstacles, in sentences.
         notes: Further remarks, in sentences.
         written: Lines that end in the name of a file.
-        page: Replay, if it was written.
-        pages: Heading -> text in Markdown.
-        following: Command to type next.
+        page: Replay; None if none was written.
+        pages: Headings, and texts in Markdown.
+        following: Command to type next; empty if there is none.
     """
 
     content: dict[str, Any]
@@ -75,22 +75,22 @@ class Answer:
     following: str = ""
 
     def with_files(self, out: Path | None, page: ReplayResult | None = None) -> Answer:
-        """Return the answer with the written files.
+        """Return a copy of the answer that names the written files.
 
         Args:
-            out: Output file; None without one.
-            page: Replay; None without one.
+            out: Output file; None if none was written.
+            page: Replay; None if none was written.
         """
         files = {"out": out, "html": None if page is None else page.html}
         return replace(self, content=self.content | files, written=[f"written: {out}" if out else ""], page=page)
 
 
 def cells(content: Mapping[str, Any], layout: str) -> dict[str, str]:
-    """Return numbers of a JSON document in words, by their headings: "-" where one does not exist or is not finite.
+    """Return the cells of a table row as texts by heading; "-" for a number that is missing or not finite.
 
     Args:
-        content: The document.
-        layout: Headings with formats of keys of the document, e.g. `"time: {seconds:.1f} s; margin: {margin:.0%}"`.
+        content: JSON document with the numbers.
+        layout: Headings, each with a format of keys in the document: `"time: {seconds:.1f} s; margin: {margin:.0%}"`.
     """
     values, words = for_json(dict(content)), {}
     for heading, form in (part.split(": ") for part in layout.split("; ")):
@@ -102,7 +102,7 @@ def cells(content: Mapping[str, Any], layout: str) -> dict[str, str]:
 
 
 def place(point: Iterable[float]) -> str:
-    """Return a point in words.
+    """Return the coordinates of a point as text.
 
     Args:
         point: Coordinates [m].
@@ -111,11 +111,11 @@ def place(point: Iterable[float]) -> str:
 
 
 def silent(step: str, share: float) -> None:
-    """Take progress, and show nothing.
+    """Ignore progress: a progress function that shows nothing.
 
     Args:
         step: Name of the stage.
-        share: Completed share.
+        share: Completed fraction, 0 to 1.
     """
 
 
@@ -127,7 +127,7 @@ def progress(quiet: bool) -> Iterator[Progress]:
         quiet: True to show nothing.
 
     Yields:
-        Function of the name of a stage and its completed share.
+        Function that is called with the name of a stage and its completed fraction, 0 to 1.
     """
     if quiet or not sys.stderr.isatty():
         yield silent
@@ -142,7 +142,7 @@ def progress(quiet: bool) -> Iterator[Progress]:
 
 
 def system_refusal(error: OSError) -> str:
-    """Return a sentence about an error of the operating system, e.g. that the answer cannot be printed (a full disk).
+    """Return a message for an error of the operating system, e.g. that the disk is full and nothing can be printed.
 
     Output that could not be printed is discarded, so that the interpreter does not report it again at its end.
 
@@ -159,10 +159,12 @@ def system_refusal(error: OSError) -> str:
 
 
 def refuse(sentence: str, as_json: bool, code: str, facts: Mapping[str, Any] | None = None, exit_code: int = 2) -> int:
-    """Print a sentence on standard error; under --json also `{"error": {"code", "message", ...}}` on standard output.
+    """Print an error message on standard error; with `as_json` also a JSON document on standard output.
+
+    The document is `{"error": {"code", "message", ...}}`.
 
     Args:
-        sentence: Text of the refusal.
+        sentence: Message of the error.
         as_json: True to print the JSON document.
         code: Code of the error.
         facts: Further fields of the JSON document; None for none.
@@ -183,7 +185,7 @@ def refuse(sentence: str, as_json: bool, code: str, facts: Mapping[str, Any] | N
 
 
 def discard_output() -> int:
-    """Drop further output without a message: the reader of a pipe, such as `head`, has closed it.
+    """Drop further output without a message, because the reader of a pipe, such as `head`, has closed it.
 
     Returns:
         The exit code.

@@ -23,7 +23,8 @@ def run_command(work: str, given: Options) -> None:
     """Run a command, and print its answer.
 
     Args:
-        work: File in `commands` and function: options and progress -> an `Answer`.
+        work: Module in `commands` and name of its function, which takes the options and a progress function, and
+            returns an `Answer`.
         given: Options of the command.
     """
     file, function = work.split(".")
@@ -46,7 +47,7 @@ def print_version(asked: bool) -> None:
     """Print the version and exit, if it was requested.
 
     Args:
-        asked: True if the flag was typed.
+        asked: True if the flag `--version` was typed.
     """
     if asked:
         from importlib.metadata import version

@@ -28,13 +28,13 @@ def record_motions(options: RecordOptions, progress: Progress) -> Answer:
 
     Args:
         options: Options of the command.
-        progress: Function of the name of a stage and its completed share.
+        progress: Function that is called with the name of a stage and its completed fraction, 0 to 1.
 
     Returns:
         Answer with the files, and the result of learning from them.
 
     Raises:
-        ConfigurationError: DRIVER is no driver, or `--by` is neither motion nor key.
+        ConfigurationError: DRIVER does not name a driver, or `--by` is neither motion nor key.
         OutputError: Recording had to end; the files are kept.
         ManipLearnError: Another error in robot or driver.
     """
@@ -110,13 +110,13 @@ def _learn_from_files(
 
 
 def load_driver(spec: str) -> ml.Driver:
-    """Return the driver that `FILE.py:NAME` or `package.module:NAME` names; a factory is called.
+    """Return the driver that `FILE.py:NAME` or `package.module:NAME` names.
 
     Args:
-        spec: Argument of the command.
+        spec: Argument of the command. NAME is a driver, or a function without arguments that returns one.
 
     Raises:
-        ConfigurationError: There is no driver, or its code fails.
+        ConfigurationError: NAME does not exist or is not a driver, or its code raises an error.
     """
     place, _, name = spec.rpartition(":")
     if not place:

@@ -26,7 +26,7 @@ def repeat_skill(options: RepeatOptions, progress: Progress) -> Answer:
 
     Args:
         options: Options of the command.
-        progress: Function of the name of a stage and its completed share.
+        progress: Function that is called with the name of a stage and its completed fraction, 0 to 1.
 
     Returns:
         Answer with a row for each step.
@@ -34,7 +34,7 @@ def repeat_skill(options: RepeatOptions, progress: Progress) -> Answer:
     Raises:
         NoPlanError: A step is infeasible; nothing is written.
         TargetError: `--moved` has neither 3 nor 6 numbers.
-        ConfigurationError: `--tip-speed` is not positive, or another word.
+        ConfigurationError: `--tip-speed` is neither positive nor `shown` or `none`.
         ManipLearnError: An error in the robot, the file, the numbers or the output.
     """
     robot = robot_of_constraint(options.robot, options.task, options)

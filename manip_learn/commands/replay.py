@@ -20,22 +20,22 @@ from manip_learn.robot.loading import DESCRIPTION_SUFFIXES
 
 
 def replay_files(options: ReplayOptions, progress: Progress) -> Answer:
-    """Write a replay of rollouts (of `control`) or of recordings.
+    """Write a replay of rollouts from `control`, or of recordings.
 
-    The joints are locked that were locked when the rollouts were made. With a constraint file, the phases and the
-    mechanism of its fit are shown, and the joints are locked that were locked then.
+    The robot gets the locked joints of the rollouts. With a constraint file, the replay shows the phases and the
+    mechanism with which the constraint was learnt, and the robot gets the locked joints of the constraint.
 
     Args:
         options: Options of the command.
-        progress: Function of the name of a stage and its completed share.
+        progress: Function that is called with the name of a stage and its completed fraction, 0 to 1.
 
     Returns:
         Answer with the name and the size of the page.
 
     Raises:
-        RecordingError: No files, files that are neither rollouts nor recordings, rollouts of another robot or with
-            other joints locked, or phases of other recordings.
-        ConstraintMismatchError: A constraint file of another robot, or no constraint file.
+        RecordingError: There are no files, a file is neither a rollout nor a recording, rollouts belong to another
+            robot or have other locked joints, or the constraint was learnt from other recordings.
+        ConstraintMismatchError: The constraint file belongs to another robot, or contains no constraint.
         ManipLearnError: Another error in the robot or the output.
     """
     progress("writing the replay", 0.0)
@@ -77,16 +77,16 @@ def _header(path: Path) -> FileHeader | None:
 
 
 def split_robot(words: list[str]) -> tuple[str, list[str]]:
-    """Return the robot and the files among the words of a command line.
+    """Split the arguments of a command into the robot and the files.
 
     Args:
         words: Arguments of the command.
 
     Returns:
-        Robot with which the first file was made, or the first word; and the names of the files.
+        Name of the robot, from the first file if that states it, otherwise the first argument; and names of the files.
 
     Raises:
-        RecordingError: The files do not contain their robot, and none is named; or a robot alone.
+        RecordingError: The files do not state their robot and no robot is named, or a robot is named without files.
     """
     first = Path(words[0])
     if (header := _header(first)) is not None and header.robot is not None:

@@ -14,7 +14,7 @@ def reproduce_paper(options: ReproduceOptions, progress: Progress) -> Answer:
 
     Args:
         options: Options of the command.
-        progress: Function of the name of a stage and its completed share.
+        progress: Function that is called with the name of a stage and its completed fraction, 0 to 1.
 
     Returns:
         Answer with the numbers and the pages.

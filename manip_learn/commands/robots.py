@@ -26,12 +26,13 @@ _ORIGINS = {
 def known_robots(options: RobotsOptions, progress: Progress) -> Answer:
     """List every available robot, with its joints.
 
-    In the document, `origin` is `package`, `extra` (of the extra `robots`) or `net` (of the extra `descriptions`);
-    `joints` move on their own; the list is empty if a description is refused, or would have to be fetched.
+    In the JSON document, `origin` is `package`, `extra` (from the extra `robots`) or `net` (from the extra
+    `descriptions`, downloaded when needed); `joints` are the robot's degrees of freedom. The list of joints is empty if
+    a description cannot be used, or would have to be downloaded.
 
     Args:
         options: Options of the command.
-        progress: Function of the name of a stage and its completed share.
+        progress: Function that is called with the name of a stage and its completed fraction, 0 to 1.
 
     Returns:
         Answer with the robots of each origin.
@@ -64,11 +65,11 @@ _JOINT = "kind: {kind}; lower: {lower:.4g}; upper: {upper:.4g}; velocity: {veloc
 
 
 def inspect(options: InspectOptions, progress: Progress) -> Answer:
-    """Load a robot, check its forward kinematics by another library, and show the facts needed before recording.
+    """Load a robot, check its forward kinematics against another library, and show the facts needed before recording.
 
     Args:
         options: Options of the command.
-        progress: Function of the name of a stage and its completed share.
+        progress: Function that is called with the name of a stage and its completed fraction, 0 to 1.
 
     Returns:
         Answer with a row for each joint.

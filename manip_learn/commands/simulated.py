@@ -1,4 +1,4 @@
-"""Start, scene and files of a simulated motion."""
+"""Start posture, scene and output files of a simulated motion."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ def start_posture(robot: ml.Robot, constraint: ml.Constraint, start: str | None,
     Args:
         robot: The robot.
         constraint: Constraint with the demonstrated postures.
-        start: Typed posture; None for the first demonstrated one.
-        moves: False to begin in the neutral posture instead.
+        start: Posture as the user typed it; None for the first demonstrated one.
+        moves: False to use the neutral posture instead of the demonstrated one.
 
     Returns:
-        Configuration (nq,); and a sentence, empty for a typed posture.
+        Configuration (nq,); and a sentence, empty if the user typed the posture.
     """
     demonstrated, typed = constraint.provenance.get("postures"), vector("--start", start)
     q0, whence = robot.neutral(), "the robot's neutral posture"
@@ -41,7 +41,7 @@ def load_scene(given: str | None, robot: ml.Robot) -> Around:
         robot: The robot.
 
     Raises:
-        SceneError: The file is no scene.
+        SceneError: The file does not contain a scene.
     """
     return "assumed" if given is None else None if given == "none" else ml.Scene.load(given, robot)
 
@@ -52,7 +52,7 @@ def write_rollout(
     """Write the rollout and its replay if the options name files, and return the answer with their names.
 
     Args:
-        answer: Answer without files.
+        answer: Answer to extend.
         rollout: The motion.
         robot: The robot.
         name: Name of the motion in the replay.

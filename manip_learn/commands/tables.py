@@ -1,4 +1,4 @@
-"""Answers as text for people, with a glossary of the terms."""
+"""Printing of answers as text, with a glossary of the terms."""
 
 from __future__ import annotations
 
@@ -57,12 +57,12 @@ class Glossary:
 
 
 def show(console: Console, answer: Answer, explain: bool | None = None) -> None:
-    """Print an answer for people, with a glossary of the terms in its tables.
+    """Print an answer as text, with a glossary of the terms in its tables.
 
     Args:
         console: Console to print on.
         answer: Answer of a command.
-        explain: True to print the glossary, False for a hint at it, None for neither.
+        explain: True to print the glossary, False to print a hint that it exists, None for neither.
     """
     say(console, [answer.title], "bold")
     say(console, answer.sentences)
@@ -92,11 +92,11 @@ def show(console: Console, answer: Answer, explain: bool | None = None) -> None:
 
 
 def text(words: object, style: str = "") -> Text:
-    """Return words for the terminal: without markup, and without control characters.
+    """Return text for the terminal; markup is not interpreted, and control characters are escaped.
 
     Args:
         words: Text to print.
-        style: Style of rich.
+        style: Style of the library `rich`, e.g. `"bold"`.
     """
     return Text(printable(words), style)
 
@@ -107,18 +107,19 @@ def say(console: Console, sentences: Sequence[str], style: str = "", whole: bool
     Args:
         console: Console to print on.
         sentences: Sentences; empty ones are skipped.
-        style: Style of rich.
-        whole: True for lines that end in the name of a file, which are not wrapped.
+        style: Style of the library `rich`, e.g. `"bold"`.
+        whole: True to print each sentence without line breaks, e.g. one that ends in the name of a file.
     """
     for sentence in filter(None, sentences):
         console.print(text(sentence, style), highlight=False, soft_wrap=whole)
 
 
 def table_of(rows: Sequence[Mapping[str, str]], width: int) -> tuple[Table, list[str]]:
-    """Return a table of the first columns, as many as fit, and the headings of the others.
+    """Return a table with as many of the first columns as fit, and the headings of the columns left out.
 
     Args:
-        rows: Lines, heading -> words; the first column may be wrapped, and takes at most half of the width.
+        rows: Lines: for each heading the text of its cell. The first column may be wrapped, and takes at most half of
+            the width.
         width: Width of the terminal, in characters.
     """
     table = Table(box=SIMPLE_HEAD, show_edge=False, padding=(0, 1, 0, 0), header_style="bold")

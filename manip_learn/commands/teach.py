@@ -26,13 +26,14 @@ def teach(options: TeachOptions, progress: Progress) -> Answer:
 
     Args:
         options: Options of the command.
-        progress: Function of the name of a stage and its completed share.
+        progress: Function that is called with the name of a stage and its completed fraction, 0 to 1.
 
     Returns:
         Answer with the folder and the recordings.
 
     Raises:
-        ManipLearnError: No likely tip or several, or a robot that cannot be taught in simulation.
+        ManipLearnError: No frame is named and the robot has not exactly one likely tip, or the robot cannot be
+            simulated in a teaching scene.
         MissingExtraError: MuJoCo is not installed.
         OutputError: The server does not start, or the folder cannot be written to.
     """

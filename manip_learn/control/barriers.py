@@ -1,4 +1,4 @@
-"""Barriers: rows of the law's program that keep the hand and the links away from walls and obstacles."""
+"""Barriers: linear inequalities on the joint velocity that keep hand and links away from walls and obstacles."""
 
 from __future__ import annotations
 
@@ -33,17 +33,17 @@ def approach_rate(distance: float, slope: Vector, acceleration: Vector, dt: floa
 
         rate = min(kappa x, sqrt(2 a x)),   a = BRAKING_SHARE |g| min_j (a_j / |n_j|),   n = g / |g|
 
-    x is e.g. the smallest singular value of A or the distance of a frame from a wall, g its gradient, a_j the
-    acceleration limits of the joints, and kappa the `APPROACH_RATE`, at most 1 / (2 dt).
+    The distance `x` is e.g. the smallest singular value of A, or the distance of a frame from a wall; `g` is its
+    gradient, `a_j` are the acceleration limits of the joints, and `kappa` is `APPROACH_RATE`, but at most 1 / (2 dt).
 
     Args:
-        distance: x, in any unit; negative beyond 0.
-        slope: g (nv,), gradient of x by the joint positions [unit of x per rad or m].
+        distance: `x`, in any unit; negative if the limit is already exceeded.
+        slope: `g` (nv,), gradient of `x` with respect to the joint positions [unit of x per rad or m].
         acceleration: Acceleration limits (nv,) [rad/s2 or m/s2].
         dt: Step [s].
 
     Returns:
-        The rate [unit of x per second]; negative where x is.
+        The rate [unit of x per second]; negative if `x` is negative: then `x` must grow.
     """
     largest, square = float((np.abs(slope) / acceleration).max()), float(slope.dot(slope))
     deceleration = BRAKING_SHARE * square / largest if largest > 0.0 else math.inf
@@ -53,13 +53,14 @@ def approach_rate(distance: float, slope: Vector, acceleration: Vector, dt: floa
 def approach_bound(smallest: float, slope: Vector, acceleration: Vector, dt: float) -> float:
     """Return the largest rate at which the smallest singular value may fall, so that the arm can stop at 0.
 
-    It is the sum of `approach_rate` and of 5e-4 rad/s |grad sigma|, the rate at which a singularity may be crossed. A
-    task whose target is out of reach presses the arm against a singularity (a stretched elbow), with joint velocities
-    that grow as 1 / sigma until they flip from step to step; with the bound the arm comes to rest there.
+    The bound is the sum of two rates: `approach_rate`, and 5e-4 rad/s times the norm of the gradient of sigma, with
+    which a singularity may be crossed. A task whose target is out of reach presses the arm against a singularity (a
+    stretched elbow), with joint velocities that grow as 1 / sigma until they change sign from step to step. With the
+    bound the arm comes to rest there.
 
     Args:
         smallest: Smallest singular value sigma of A, in the constraint's units (m or 1).
-        slope: Gradient of sigma (nv,) by the joint positions.
+        slope: Gradient of sigma with respect to the joint positions (nv,).
         acceleration: Acceleration limits (nv,) [rad/s2 or m/s2].
         dt: Step [s].
 
@@ -77,7 +78,7 @@ class Obstacles(Protocol):
         """Return the obstacles that the robot's links avoid.
 
         Args:
-            robot: The robot; `may_touch` of an obstacle has names of its links.
+            robot: The robot; each obstacle's `may_touch` lists the links that may touch it.
         """
         ...
 
@@ -90,25 +91,25 @@ def _hulls_of(robot: Robot, shapes: Shapes) -> SelfCollision:
 
 @final
 class CollisionAvoidance:
-    """Pairs of shapes that stay at a distance from each other.
+    """Collision avoidance: pairs of shapes that stay at a distance from each other.
 
-    No pair may be nearer than the clearance, or than it is now if that is less: neither in the next step nor at
-    q + t u, where the arm comes to rest if it brakes along its velocity u from then on. Braking takes BRAKING_SHARE of
-    the acceleration, and ends exponentially as everywhere. Each pair that comes nearer gets a row, the tangent of its
-    distance d at x = q + t u:
+    No pair may come nearer than the clearance, or than its present distance if that is smaller. This holds in the next
+    step and at x = q + t u, where the arm comes to rest if it brakes along its velocity u after that step. Braking uses
+    BRAKING_SHARE of the acceleration limits, and ends exponentially. Each pair that would come nearer gets a row, the
+    linearisation of its distance d at x = q + t u:
 
         d(x) + grad d(x) . t (v - u) >= clearance
 
-    Where the shapes would overlap at x, x is moved back along the motion until they do not: the depth of an overlap
-    gives little information on the way out. The law's program gets rows for as long as its solution violates any, as
-    for `Barriers`.
+    If the shapes would overlap at x, x is moved back along the motion until they do not: the gradient of the depth of
+    an overlap is a poor guide to its exit. Rows are added and the quadratic program is solved again until its solution
+    violates none, as for `Barriers`.
 
-    A pair that no joint could bring near in that time is skipped: since its distance was computed at another posture,
-    it has changed by at most sum_j lever_j |dq_j|.
+    A pair that is too far apart to come near in that time is skipped. Its distance is not computed again at each
+    posture: when the joints move by dq, it changes by at most sum_j lever_j |dq_j|.
 
     Args:
         robot: The robot.
-        around: Its pairs of shapes, or a source of the obstacles around it.
+        around: Pairs of shapes of this robot, or a source of the obstacles around it, such as a `Scene`.
         clearance: Distance to keep [m].
 
     Raises:
@@ -142,7 +143,7 @@ class CollisionAvoidance:
             u: Velocity (nv,) to check [rad/s or m/s].
 
         Returns:
-            G (r, nv) and the lower bounds of G v (r,) [m/s].
+            `(G, least)`: the rows (r, nv), and lower bounds (r,) [m/s] on G v for the commanded velocity v.
         """
         (posture, here, exact), levers, clearance = self._cache, self.pairs.levers, self.clearance
         if not np.array_equal(posture, q):
@@ -188,7 +189,7 @@ class CollisionAvoidance:
         return np.array(rows), np.array(least)
 
     def is_latest_clear(self, q: Posture, u: Vector) -> bool:
-        """Return True if the newest check without rows was of this velocity at this posture.
+        """Return True if `rows` last found this velocity free of collisions at this posture.
 
         Args:
             q: Posture.
@@ -197,7 +198,7 @@ class CollisionAvoidance:
         return np.array_equal(self._clear[0], q) and np.array_equal(self._clear[1], u)
 
     def describe_nearest(self) -> str | None:
-        """Return the nearest pair and its distance in words, or None if that pair does not stop the arm."""
+        """Return the nearest pair and its distance in words, or None if it is too far apart to stop the arm."""
         if self._nearest is None or self._nearest[0] > self.clearance + 1e-3:
             return None  # a pair that is a millimetre farther apart has slowed the arm down, but does not stop it
         distance, (link, other) = self._nearest
@@ -213,9 +214,10 @@ class PostureBarriers:
     Attributes:
         speed: Largest speed of the frames [m/s].
         jacobians: Jacobians of the frames' origins, each (3, nv) [m].
-        G: shape (w, nv), minus the rate at which each frame approaches each wall, per unit of joint velocity.
-        least: shape (w,) [m/s], minus the rates that are allowed.
-        clear: Velocity -> rows that keep apart the pairs which it would bring too near; None without such pairs.
+        G: shape (w, nv); G u is minus the rate at which each frame approaches each wall [m/s] at joint velocity u.
+        least: shape (w,), lower bounds on G u [m/s]: minus the allowed rates of approach.
+        clear: Function of a joint velocity (nv,) that returns the rows for the pairs of shapes which this velocity
+            would bring too near, or None if there are none; None without collision avoidance.
     """
 
     speed: float
@@ -225,16 +227,18 @@ class PostureBarriers:
     clear: Callable[[Vector], Barrier | None] | None
 
     def broken(self, u: Vector, slack: float = 0.0) -> tuple[Barrier, int] | None:
-        """Return the rows that a velocity violates, and their cause.
+        """Return the rows that a velocity violates, and the kind of limit.
 
-        They are the rows of walls, of pairs that come near, and the tangent of each frame that is too fast.
+        Rows stand for walls, for pairs of shapes that come too near, and for frames that are too fast (a tangent plane
+        of the ball of allowed velocities).
 
         Args:
             u: Velocity (nv,) [rad/s or m/s].
-            slack: Excess of the approach to a wall that is tolerated [m/s].
+            slack: Tolerance for the rate of approach to a wall [m/s].
 
         Returns:
-            The rows and POSITION (a wall or a pair) or VELOCITY (only a frame's speed); None if there is no violation.
+            `((G, least), kind)`: rows and lower bounds of G u, and POSITION if a wall or a pair of shapes is
+            concerned, or VELOCITY for frames' speeds alone. None if the velocity violates no row.
         """
         rows, least = list[Vector](), list[float]()
         if len(self.least):
@@ -254,7 +258,7 @@ class PostureBarriers:
         return ((np.array(rows), np.array(least)), cause) if rows else None
 
     def slowed(self, u: Vector) -> Vector:
-        """Scale a velocity down until walls and the speed limit of the frames allow it; to rest where they allow none.
+        """Scale a velocity down until walls and the frames' speed limit allow it; to zero if they allow no motion.
 
         Args:
             u: Velocity (nv,) [rad/s or m/s].
@@ -271,12 +275,13 @@ class PostureBarriers:
         """Solve a program, adding violated rows until the solution violates none.
 
         Args:
-            wish: Desired velocity (nv,) [rad/s or m/s], whose violated rows come first.
-            barrier: Rows that the program has in any case; None for none.
-            solve: Rows -> velocity, the solution of the program with these rows.
+            wish: Desired velocity (nv,) [rad/s or m/s]; the rows that it violates are added before the first solution.
+            barrier: Rows that the program has from the beginning; None for none.
+            solve: Function that solves the program with given rows (or None), and returns the velocity (nv,).
 
         Returns:
-            The solution (nv,) [rad/s or m/s]. Where bounds on the joints leave no solution, they have precedence.
+            The solution (nv,) [rad/s or m/s]. If the joint bounds leave no velocity that satisfies all rows, it
+            satisfies the bounds and violates rows.
         """
         u, result = wish, None
         for _ in range(12):  # rounds; in practice one to four
@@ -298,24 +303,27 @@ class Barriers:
 
         |J_f(q) u| <= speed,    n^T p_f(q) <= d    for the origin p_f of each frame f and each wall (n, d)
 
-    The ball of velocities is bounded by tangent planes, n^T J u <= speed, where it was exceeded: first at the desired
-    velocity, then at each solution, until no more are needed (Kelley, "The cutting-plane method for solving convex
-    programs", 1960). The rate at which a frame approaches a wall is at most `approach_rate` of its distance, so that
-    the joints can stop the frame there; a frame beyond a wall returns. The rows demand of one step at most
-    BRAKING_SHARE of the change of that rate that the acceleration limits allow all joints together. If the joint bounds
-    leave no velocity that satisfies all rows, the bounds have precedence.
+    The speed limit is not linear: it allows a ball of velocities. Where a velocity leaves the ball, the program gets a
+    tangent plane of it, n^T J u <= speed: first at the desired velocity, then at each solution, until the solution is
+    inside (Kelley, "The cutting-plane method for solving convex programs", 1960). The rate at which a frame approaches
+    a wall is at most `approach_rate` of its distance, so that the joints can stop the frame there; a frame beyond a
+    wall returns. Per step, the rows demand at most BRAKING_SHARE of the change of that rate which all joints together
+    can make at their acceleration limits. If the joint bounds leave no velocity that satisfies all rows, the bounds
+    have precedence.
 
     Args:
         robot: The robot.
         speed: Largest speed of the frames' origins [m/s]; None for no limit.
-        box: shape (2, 3), lowest and highest x, y, z of the frames' origins [m], -inf and inf where there is none.
-        walls: shape (w, 4), rows (n, d), n of any length but 0 in the base frame, d [m] times that length.
-        frames: Name or names; None for the robot's likeliest tip.
-        clear: Pairs of shapes that stay apart; None for none.
+        box: shape (2, 3), lowest and highest x, y, z of the frames' origins in the base frame [m], -inf and inf for
+            no limit.
+        walls: shape (w, 4), rows (n, d): origins p stay where n^T p <= d. The normal n is in the base frame, of any
+            length but 0; d is the distance of the wall from the base's origin [m] times that length.
+        frames: Name or names of the limited frames; None for the robot's likeliest tip.
+        clear: Collision avoidance; None for none.
 
     Raises:
-        ConfigurationError: A speed that is not positive, an empty box, or invalid walls.
-        UnknownNameError: No such frame.
+        ConfigurationError: The speed is not positive, the box is empty, or the walls are invalid.
+        UnknownNameError: The robot has no such frame.
     """
 
     def __init__(
@@ -355,7 +363,7 @@ class Barriers:
         Args:
             q: Posture.
             dt: Step [s].
-            acceleration: Acceleration limits (nv,) [rad/s2 or m/s2]; inf for none.
+            acceleration: Acceleration limits (nv,) [rad/s2 or m/s2]; inf for no limit.
             previous: Velocity of the previous step (nv,) [rad/s or m/s]; None if there was none.
         """
         if not self.frames and self.clear is None:
@@ -375,9 +383,9 @@ class Barriers:
 
     @property
     def pace(self) -> float:
-        """Speed for which motions are timed [m/s]: the law stays below the limit itself.
+        """Frame speed for which motions are planned [m/s]: 98 % of the speed limit.
 
-        The remaining 2 % are for corrections, and a frame gains 1 % within a step of 0.01 s at 0.25 m/s.
+        The remaining 2 % are for corrections; within a step of 0.01 s at 0.25 m/s a frame becomes 1 % faster.
         """
         return 0.98 * self.speed
 

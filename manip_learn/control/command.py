@@ -1,4 +1,4 @@
-"""Commands of a controller, and their status."""
+"""Commands of a controller, their status, and the interface of controllers."""
 
 from __future__ import annotations
 
@@ -15,26 +15,27 @@ Posture = Float[np.ndarray, " n"]  # a configuration or joint positions [rad or 
 
 @final
 class Status(StrEnum):
-    """The most serious change to a command; the members are in that order, most serious first.
+    """Status of a command: the most serious reason for which it differs from the law; most serious first.
 
-    Members are strings: `command.status == "ok"` works, and files hold the words.
+    Members are strings: `command.status == "ok"` works, and files contain these words.
 
     Attributes:
-        INVALID_INPUT: The posture or the time is not a number, or the controller failed: the arm brakes to a stop
+        INVALID_INPUT: The posture or the time is invalid, or the controller raised: the arm brakes to a stop
             (`ServoLoop`).
         STALE: No new state for too long: the arm brakes to a stop (`ServoLoop`).
         FOLLOWING_ERROR: The measured posture is too far from the commanded one: the arm brakes to a stop
             (`ServoLoop`).
         STOPPED: `ServoLoop.stop` was called: the arm brakes to a stop.
         OUTSIDE_LIMITS: A joint is outside its position limits, and returns where it can.
-        SINGULAR: A task direction is lost at this posture.
+        SINGULAR: At this posture no joint motion moves the hand in a task direction.
         STALLED: The task has not reached its goal and does not approach it: less than 2 % of the requested velocity
             is left along it, because limits or a singularity block the rest.
         POSITION_LIMITED: The task was slowed down for a position limit.
         VELOCITY_LIMITED: The task was slowed down for a velocity limit.
         ACCELERATION_LIMITED: The task was slowed down for an acceleration limit.
         DAMPED: The task part was damped near a singularity.
-        REROUTED: Null-space motion keeps limits from slowing the task down (saturation in the null space).
+        REROUTED: A joint is at a limit, and null-space motion of the others compensates for it, so that the task keeps
+            its speed (saturation in the null space).
         NULL_SCALED: The null-space part was reduced, because the limits leave no room for all of it after the task.
         OK: The law without any change.
     """
@@ -56,7 +57,7 @@ class Status(StrEnum):
 
     @property
     def effect(self) -> Literal["ok", "slowed", "stopped"]:
-        """Effect on the requested motion: it is done as requested, it is slowed down, or the arm stops."""
+        """Effect on the requested motion: `"ok"` (as requested), `"slowed"` (slower), or `"stopped"`."""
         if self in (Status.OK, Status.NULL_SCALED, Status.REROUTED):
             return "ok"
         stands = (Status.INVALID_INPUT, Status.STALE, Status.FOLLOWING_ERROR, Status.STOPPED, Status.STALLED)
@@ -65,25 +66,27 @@ class Status(StrEnum):
 
 @final
 class Command(NamedTuple):
-    """Command of a controller at one instant.
+    r"""Command of a controller at one instant.
 
     Attributes:
-        velocity: u, shape (nv,) [rad/s or m/s], finite and within the limits.
+        velocity: Commanded joint velocity :math:`u`, shape (nv,) [rad/s or m/s], finite and within the limits. It is
+            the sum of `task_part`, `null_part` and `escape_part`.
         status: The most serious change to the law, see `Status`.
-        manipulability: mu(q).
-        task_velocity: b, shape (s,), before limits.
-        task_part: A^+ b as commanded, shape (nv,).
-        null_part: N pi as commanded, shape (nv,), with the null-space motion that makes room for the task at limits;
-            A null_part = 0.
+        manipulability: Manipulability :math:`\mu(q)` of the constraint.
+        task_velocity: Requested velocity :math:`b` of the constrained rows before limits, shape (s,), in their units
+            per second.
+        task_part: Part :math:`A^+ b` of the velocity as commanded, shape (nv,) [rad/s or m/s].
+        null_part: Part :math:`N \pi` as commanded, shape (nv,) [rad/s or m/s], including the null-space motion that
+            makes room for the task at limits. It moves no row: `A @ null_part` is 0.
         task_scale: Factor on the task part; 1 is the requested velocity.
         null_scale: Share of the null-space part that is commanded, 0 to 1.
-        smallest_singular_value: Of A(q).
-        escape_part: Velocity out of a singularity, shape (nv,); None away from singularities. `velocity` is the sum of
-            the three parts.
-        progress: Fraction of the requested velocity along b that is achieved, b^T (A u + c) / |b|^2, mean of the step;
-            1 where b = 0.
+        smallest_singular_value: Smallest singular value of A(q), in the constraint's units (m or 1).
+        escape_part: Velocity out of a singularity, shape (nv,) [rad/s or m/s]; None away from singularities.
+        progress: Fraction of the requested velocity along :math:`b` that is achieved,
+            :math:`b^T (A u + c) / |b|^2`, where :math:`A u + c` is the rows' mean velocity during the step; 1 if
+            :math:`b = 0`.
         outside: Largest distance of a joint beyond its position limits [rad or m].
-        limiting_joint: Number of the joint whose limit changes the command most, -1 if none does.
+        limiting_joint: Index of the joint whose limit changes the command most, -1 if none does.
         following_error: Largest distance between commanded and measured joint positions [rad or m] (`ServoLoop`).
     """
 
@@ -104,13 +107,13 @@ class Command(NamedTuple):
 
     @classmethod
     def of_joints(cls, velocity: Vector, status: Status, **more: Any) -> Command:
-        """Return a command without a law: all of the velocity is its task part.
+        """Return a command for a given joint velocity, e.g. of a controller of your own: all of it is the task part.
 
         Args:
             velocity: Joint velocity (nv,) [rad/s or m/s].
             status: Status of the command.
-            **more: Further attributes; by default manipulability 0, task scale 1, null-space scale 0, and the defaults
-                of `Command`.
+            **more: Further attributes of the command; by default manipulability 0, task scale 1, null-space scale 0,
+                and the defaults of `Command`.
         """
         none = np.zeros_like(velocity)
         values: dict[str, Any] = {"manipulability": 0.0, "task_scale": 1.0, "null_scale": 0.0}
@@ -123,7 +126,7 @@ POSITION, VELOCITY, ACCELERATION = range(3)
 
 
 def slowed_by(cause: int) -> Status:
-    """Return the status of a task that is slowed down.
+    """Return the status of a task that a limit or a singularity slows down.
 
     Args:
         cause: Limit that slows it down: POSITION, VELOCITY or ACCELERATION; -1 for a singularity.
@@ -132,10 +135,19 @@ def slowed_by(cause: int) -> Status:
 
 
 class Controller(Protocol):
-    """Anything that `simulate` can run: a `ResolvedRateController`, or a class of your own."""
+    """Interface of controllers that `simulate` can run: a `ResolvedRateController`, or a callable of your own."""
 
     def __call__(self, q: Posture, t: float = 0.0, dt: float | None = None) -> Command:
-        """Return the command at posture q and time t [s], held for dt [s]."""
+        """Return the command for a step.
+
+        Args:
+            q: Posture: a configuration (nq,) or joint positions (nv,) [rad or m].
+            t: Time at which the step begins [s].
+            dt: Length of the step, for which the velocity is applied [s].
+
+        Returns:
+            The command; `Command.of_joints` makes one from a joint velocity.
+        """
         ...
 
 
@@ -145,10 +157,10 @@ class LimitedController(ABC):
     Attributes:
         robot: The robot.
         limits: Limits that its commands keep; None for none.
-        laws: The `ResolvedRateController`s that it runs one after the other; none for a motion of the joints.
-        law: The law in force; None if there is none.
-        constraint: Rows that it keeps, with the rows that its task drives; None if there are none.
-        waits: True if its clock stands still while the arm does.
+        laws: The `ResolvedRateController`s that it runs one after another; empty for a joint motion.
+        law: The `ResolvedRateController` that computes the present command; None for a joint motion.
+        constraint: Constraint with its held rows and the rows that the task drives; None for a joint motion.
+        waits: True if the time of the motion stops while the arm stands still.
         notes: Remarks on its motion, in sentences.
     """
 
@@ -163,7 +175,11 @@ class LimitedController(ABC):
     def __call__(
         self, q: Any, t: float = 0.0, dt: float | None = None, previous: Any = None, slide: float = 0.0
     ) -> Command:
-        """Return the command at posture q and time t [s], for dt [s], after the velocity `previous`."""
+        """Return the command for a step of dt [s] from posture q at time t [s].
+
+        `previous` is the velocity of the previous step (nv,) [rad/s or m/s], None for no acceleration limit; `slide`
+        the share of the task's direction that is given up at limits, 0 to 1.
+        """
 
     @abstractmethod
     def with_limits(self, limits: Any, lag: float = 0.0) -> LimitedController:
@@ -171,28 +187,29 @@ class LimitedController(ABC):
 
         Args:
             limits: `Limits` of the same robot.
-            lag: Time by which the output of the loop lags behind [s], for a controller that can compensate for it.
+            lag: Time by which the output of the loop lags behind the controller [s], for a controller that can
+                compensate for it.
         """
 
     @property
     def waits(self) -> bool:
-        """True if its clock stands still while the arm does."""
+        """True if the time of the motion stops while the arm stands still."""
         return self.law is not None and self.law.task.waits
 
     @property
     def start(self) -> Vector | None:
-        """Joint positions at which its motion begins [rad or m]; None if it begins anywhere."""
+        """Joint positions (nv,) at which its motion begins [rad or m]; None if it can begin at any posture."""
         return self.laws[0].task.start if self.laws else None
 
     @property
     def frame(self) -> str | None:
-        """Name of the frame that its rows constrain; None if they constrain no frame."""
+        """Name of the frame that the constraint's rows refer to; None if they do not refer to a frame."""
         frame = None if self.constraint is None else getattr(self.constraint.features, "frame", None)
         return None if frame is None else frame.name
 
     @property
     def taught_force(self) -> float | None:
-        """Largest force along its motions in the demonstrations [N]; None if the force of one motion is unknown."""
+        """Largest force along its motions in the demonstrations [N]; None unless known for each of its motions."""
         forces = [law.learnt.shown.force for law in self.laws if law.learnt.shown is not None]
         return max(forces) if forces and None not in forces else None
 
@@ -203,7 +220,8 @@ class LimitedController(ABC):
             q: Posture.
 
         Returns:
-            Joint motions (k, nv), one per driven row: row i moves driven row i by 1; k = 0 without a law.
+            shape (k, nv), one joint displacement [rad or m] per driven row: displacement i moves driven row i by 1.
+            k = 0 without a law.
         """
         law = self.law
         if law is None:
@@ -211,6 +229,6 @@ class LimitedController(ABC):
         return law.task.driven_rows(law.constraint).dot(np.linalg.pinv(law.constraint(q)).T)
 
     def reset(self) -> None:
-        """Forget the past: the next call is the first one again."""
+        """Forget previous calls: the next call starts the motion from its beginning."""
         for law in self.laws:
             law.task.reset()

@@ -38,31 +38,32 @@ class Contact:
     """Settings for the forces on the hand, which a `ServoLoop` derives from the arm's following error.
 
     A force on the hand deflects the position servos. The loop estimates the force that explains the deflections best,
-    and stops the arm if it is too large. A *held* row of the constraint takes no force if the task is done right; along
-    a *driven* row the force is part of the task, e.g. of a drawer that sticks.
+    and stops the arm if it is too large. Along the *held* rows of the constraint no force is expected; along the
+    *driven* rows the force is part of the task, e.g. to open a drawer that sticks.
 
     Deflections without a force are measured in the first half second in which the arm moves, and reported in
     `ServoLoop.notes`: the latency of the arm, the noise of its encoders, and the friction and the backlash of its
     joints.
 
     Args:
-        max_lateral_force: Largest force on the hand across the driven rows [N], beyond a fifth of the force along them,
-            which allows for errors of the directions and the joints. The default is a tenth of the force with which
-            ISO/TS 15066 lets a robot press a hand, because the force keeps rising while the arm brakes.
-        max_axial_force: The same along the rows that the task drives (`Task.driven_rows`) [N]; "auto" takes 1.5 times
-            the force in the demonstrations, if efforts were recorded (`Shown.force`), but at least `max_lateral_force`,
-            and 60 N otherwise. A hand that was moving and stops is blocked as soon as the force has risen by
-            `max_lateral_force`.
+        max_lateral_force: Largest force on the hand across the driven rows [N]. A fifth of the force along the driven
+            rows is tolerated in addition, for errors of the directions and the joints. The default is a tenth of the
+            force with which ISO/TS 15066 lets a robot press a hand, because the force keeps rising while the arm
+            brakes.
+        max_axial_force: Largest force on the hand along the rows that the task drives (`Task.driven_rows`) [N]; "auto"
+            takes 1.5 times the force in the demonstrations, if efforts were recorded (`Shown.force`), but at least
+            `max_lateral_force`, and 60 N otherwise. A hand that was moving and stops counts as blocked as soon as the
+            force has risen by `max_lateral_force`.
         latency: Longest delay of the arm [s]; "auto" measures it, up to 0.2 s.
         resolution: Force that cannot be distinguished from friction, backlash and noise [N]; "auto" measures it. The
             arm is stopped at no smaller force.
-        stiffness: shape (nv,) or a number, of the arm's position servos [N m/rad or N/m]. None, unknown: the limits are
-            then distances, computed for servos of 2,000, and a warning reports that.
+        stiffness: Stiffness of the arm's position servos, shape (nv,) or a number [N m/rad or N/m]. None if it is not
+            known: 2,000 is then assumed, so that the limits are in effect position errors, and a warning reports that.
         **renamed: Former names of arguments, valid until 0.4: `held`, `driven`.
 
     Raises:
-        ConfigurationError: A number that is not positive.
-        TypeError: An argument that does not exist.
+        ConfigurationError: A force, latency, resolution or stiffness is not positive.
+        TypeError: An unknown argument.
     """
 
     max_lateral_force: float
@@ -112,32 +113,32 @@ Directions = Callable[[Posture], Float[np.ndarray, "k nv"]]
 class FollowingError:
     """Distance between the commanded and the measured posture, and the force on the hand that explains it.
 
-    Delay, friction and backlash of the servos explain a part of the distance (`Servos`), the inertia of the links
-    another one, and a weight of up to 2 kg, too: these are not contact forces. The force is the one that explains the
-    rest best,
+    Delay, friction and backlash of the servos (`Servos`), the inertia of the links, and a weight of up to 2 kg explain
+    parts of the distance; these are not contact forces. The estimated force f is the one that explains the remaining
+    distance e best,
 
-        f = (C C^T + (RESOLUTION / held)^2)^-1 C e,    C = J(q) / stiffness.
+        f = (C C^T + (RESOLUTION / F)^2)^-1 C e,    C = J(q) / stiffness,    F = max_lateral_force
 
-    Its limits are `max_axial_force` along the driven rows and `held`, the `max_lateral_force`, across them. A contact
-    elsewhere on the arm leaves distances that no force on the hand explains: they trip where they load a joint as
-    `held` would at the arm's longest lever.
+    Its limits are `max_axial_force` along the driven rows and `max_lateral_force` across them. A contact elsewhere on
+    the arm leaves distances that no force on the hand explains: the arm also stops if they load a joint as much as
+    `max_lateral_force` would at the arm's longest lever.
 
     Args:
         robot: The robot.
         contact: Limits of the forces.
         dt: Period [s].
-        acceleration: shape (nv,), with which the arm brakes [rad/s2 or m/s2].
+        acceleration: Accelerations with which the arm brakes, shape (nv,) [rad/s2 or m/s2].
         frame: Name of the tip's frame; None for the robot's likeliest tip.
 
     Attributes:
-        limit: shape (nv,), deflection of each joint under `held` at the longest lever [rad or m].
-        distance: shape (nv,), measured less commanded.
-        force: shape (3,), on the hand, in the base frame [N].
-        tripped: Why the arm must be stopped, in words; empty where it need not.
+        limit: shape (nv,), deflection of each joint under `max_lateral_force` at the longest lever [rad or m].
+        distance: shape (nv,), measured minus commanded joint positions [rad or m].
+        force: shape (3,), estimated force on the hand, in the base frame [N].
+        tripped: Reason for which the arm must be stopped, in words; empty if there is none.
         load: shape (nv,), deflection due to a weight, without a contact [rad or m].
         sinks: True if the force that stopped the arm points down, as a weight does.
-        servos: Properties of the servos.
-        notes: Sentences on them.
+        servos: Measured properties of the servos.
+        notes: Sentences on the measured properties of the servos.
         resolution: Force that cannot be distinguished from friction, backlash and noise [N].
 
     Raises:
@@ -182,7 +183,7 @@ class FollowingError:
         self._deflection, self._weight, self._motion_time, self._moving_force = zero, 0.0, 0.0, 0.0
 
     def copy(self) -> FollowingError:
-        """Return a copy; its parts are never changed in place."""
+        """Return a copy; changes of the copy do not affect the original."""
         other = shallow_copy(self)
         other.servos = shallow_copy(self.servos)
         return other
@@ -192,7 +193,7 @@ class FollowingError:
 
         Args:
             q: Commanded posture before the step.
-            time: Duration of the step [s]; negative if a call came early.
+            time: Duration of the step [s]; negative if a call came early and takes back a part of the previous step.
             velocity: Commanded velocity (nv,) [rad/s or m/s].
         """
         over = self.servos.record_step(time * velocity, time)
@@ -210,14 +211,14 @@ class FollowingError:
 
     @property
     def largest(self) -> float:
-        """Largest distance of a joint in the newest comparison that the delay does not explain [rad or m]."""
+        """Largest joint distance in the newest comparison [rad or m], after subtraction of the servos' delay."""
         return float(np.abs(self.servos.raw).max(initial=0.0))
 
     def relief(self) -> Vector:
-        """Return the motion to a commanded posture at which the servos no longer press, shape (nv,) [rad or m].
+        """Return the change of the commanded posture after which the servos no longer press, shape (nv,) [rad or m].
 
-        It leads to the measured posture, less the deflection by the load (a weight presses nothing), and on in the
-        sense of the force, by the deflection that friction would keep.
+        The change leads to the measured posture, without the deflection by the load (a weight does not press on the
+        contact), and further in the direction of the force, by the deflection that friction would keep.
         """
         by_friction = self.servos.friction * self._deflection / (np.abs(self._deflection) + RESOLUTION)
         return self.distance - self.load + by_friction
@@ -225,14 +226,14 @@ class FollowingError:
     def largest_relaxation(self) -> Vector:
         """Return the largest relaxation that the measurement supports, shape (nv,) [rad or m].
 
-        The measurement may be wrong; the limit is the deflection under the largest allowed force, plus friction, plus
-        the commanded motion within the delay.
+        Because a measurement may be wrong, the commanded posture may change by at most this: the deflection under the
+        largest allowed force, plus friction and backlash, plus the commanded motion within the delay.
         """
         largest = max(1.0, self._axial_limit / self.contact.max_lateral_force) * self.limit
         return largest + self.servos.recent_travel + self.servos.width
 
     def remaining_force(self, q: Posture) -> float:
-        """Return the remaining force on the hand in a measured posture, beyond the force that friction keeps [N].
+        """Return the force on the hand that remains at a measured posture, without the part due to friction [N].
 
         Args:
             q: Measured posture.
@@ -242,14 +243,15 @@ class FollowingError:
         return float(np.linalg.norm(self._split_weight(off, self._compliance(q))[0]))
 
     def accept_weight(self, off: Vector, q: Posture) -> str:
-        """Accept distances as the arm's load if a weight explains them.
+        """Store the joints' distances in `load` if a weight explains them; update `sinks`.
 
         Args:
             off: Distances of the joints from the commanded posture (nv,) [rad or m].
             q: Measured posture.
 
         Returns:
-            Words on a payload that the drives do not know of; empty if there is none.
+            Sentence that suggests to declare a payload, if the weight is larger than the 2 kg that need no setting;
+            otherwise empty.
         """
         f = self._estimate_force(off, self._compliance(q))
         forces = np.array([f, self.force if self.force.any() else f])  # now, and at the time of the stop
@@ -266,8 +268,8 @@ class FollowingError:
         return f"{words}, robot.with_payload({mass}, {self._frame.name!r})"
 
     def describe_cause(self, constraint: Constraint | None, q: Posture) -> str:
-        """Return a sentence on the blocked row of the constraint, if it is known, the joint, their deviations, and a
-        remedy.
+        """Return a sentence on a stop: the blocked row of the constraint (if known), the joint farthest from its
+        command, their deviations, and a remedy.
 
         Args:
             constraint: Constraint of the controller; None if there is none.
@@ -291,12 +293,13 @@ class FollowingError:
         return f"{words}{turns}{still}; {self.tripped}"
 
     def compare(self, commanded: Posture, measured: Posture, driven: Directions | None = None) -> None:
-        """Compare the newest commanded and the newest measured posture.
+        """Compare the newest commanded and measured postures; update `distance`, `force` and `tripped`.
 
         Args:
             commanded: Commanded posture.
             measured: Measured posture.
-            driven: Posture -> motions of the joints that the task drives (k, nv); None for none.
+            driven: Function of a posture that returns the joint motions which the task drives (k, nv), see
+                `LimitedController.driven_motions`; None if it drives none.
         """
         servos, was_known, (low, high) = self.servos, self.servos.late is not None, self._inertial_range
         self.distance, self.force = self._robot.difference(commanded, measured), np.zeros(3)
@@ -435,10 +438,10 @@ class FollowingError:
 
 
 def other_turns(step: float, unit: str) -> str:
-    """Return words on a step of a joint that is a number of full turns; empty if it is not.
+    """Return the end of a sentence on a joint step of one or more full turns; empty for any other step.
 
     Args:
-        step: Step of the joint, in its unit.
+        step: Step of the joint [rad or m].
         unit: `"rad"` or `"m"`.
     """
     turns = round(step / (2.0 * math.pi))

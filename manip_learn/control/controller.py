@@ -30,30 +30,38 @@ LAW_VERSION = 3  # version of the law's results: fast/src/law.hpp has the same
 
 @final
 class ResolvedRateController(LimitedController):
-    """u = A^+ b + N pi, equation (2) of Manavalan and Howard, "Learning Singularity Avoidance", with limits.
+    r"""Resolved-rate controller: the joint velocity of a task and a null-space policy, within the limits of an arm.
 
-    `law.Law` explains the mathematics: the constraint of the hand comes first, then the direction of the task, then its
-    speed, then the policy, in one quadratic program within the limits. Away from singularities and limits the command
-    is equation (2) exactly. The task distinguishes held and driven rows (`Task.driven_rows`).
+    It computes equation (2) of Manavalan and Howard, "Learning Singularity Avoidance",
+
+    .. math::
+
+        u = A^+ b + N \pi
+
+    with the constraint A(q), the task's velocity b(q, t), the projector N onto the null space of A, and the null-space
+    policy pi(q, t). Away from singularities and limits the command is exactly that. Near them one quadratic program
+    finds the velocity within the limits that keeps, in this order: the constraint of the hand, the direction of the
+    task, its speed, and the policy (`law.Law` has the mathematics). The task distinguishes held and driven rows
+    (`Task.driven_rows`).
 
     Args:
-        constraint: A(q).
-        task: b(q, t); None holds still (b = 0).
-        null_policy: pi(q, t), a `NullSpacePolicy` or a function of q, or of q and t; None is zero.
-        inverse: `"damped"` for a real arm; as in the paper `"exact"`, 1 / sigma, or `"truncated"`, without the singular
-            values below Matlab's tolerance.
+        constraint: The constraint A(q).
+        task: The task b(q, t); None for b = 0: nothing moves along the constrained rows.
+        null_policy: The null-space policy pi(q, t): a `NullSpacePolicy`, or a function of q, or of q and t [s], that
+            returns a joint velocity (nv,). None for no null-space motion.
+        inverse: Pseudo-inverse of A: `"damped"` for a real arm; as in the paper `"exact"`, which divides by each
+            singular value, or `"truncated"`, which leaves out singular values below Matlab's tolerance.
         threshold: Singular value of A below which damping sets in, in the constraint's units (m or 1).
-        damping: lambda of driven rows at a singular value of 0; lambda of held rows is a tenth of it, and a task that
-            presses into the singularity has a larger one. None for the task's own: 0.05, and 0.01 for a
-            `FreeDirection`.
-        limits: `True` for the robot's own (see `Limits` for the accelerations); a `Limits`; `False` ignores the joint
-            limits and scales nothing (the paper's law as printed).
-        dt: Time for which a command is held [s], unless the call passes another one.
-        robot: Robot whose limits count; the features' own robot by default.
+        damping: Damping factor lambda of driven rows where a singular value is 0. Held rows have a tenth of it; a task
+            that presses into the singularity has more. None for the task's own: 0.05, and 0.01 for a `FreeDirection`.
+        limits: `True` for the robot's own limits (`Limits` has the default accelerations); a `Limits`; `False` ignores
+            all limits (the paper's law as printed).
+        dt: Time for which a command is applied [s], unless the call passes another one.
+        robot: Robot whose limits count; by default the robot of the constraint's features.
 
     Raises:
-        ConstraintError: Arguments in another order, a null policy of another number of joints, or settings that are not
-            positive.
+        ConstraintError: Arguments in the wrong order, a null-space policy for another number of joints, or settings
+            that are not positive.
 
     Example:
         >>> import manip_learn as ml
@@ -105,17 +113,17 @@ class ResolvedRateController(LimitedController):
     def __call__(
         self, q: ArrayLike, t: float = 0.0, dt: float | None = None, previous: Vector | None = None, slide: float = 0.0
     ) -> Command:
-        """Return the command at posture q and time t.
+        """Return the command at a posture and a time.
 
         Args:
-            q: Posture: a configuration or joint positions.
+            q: Posture: a configuration (nq,) or joint positions (nv,) [rad or m].
             t: Time [s].
-            dt: Time for which the command is held [s].
+            dt: Time for which the command is applied [s]; None for the controller's own.
             previous: Velocity commanded in the previous step (nv,) [rad/s or m/s], from which the acceleration limits
-                count; None bounds no acceleration.
-            slide: 0 keeps the task's direction where limits allow any motion along it, and else the nearest one; 1
-                comes as near to the task's velocity as limits allow, whatever the direction. Only for a task with
-                `slides`.
+                count; None for no limit of the acceleration.
+            slide: Share of the task's direction that may be given up at limits, 0 to 1. 0 keeps the direction if the
+                limits allow any motion along it; 1 comes as near to the task's velocity as the limits allow, in
+                another direction if necessary. It has no effect on a task whose `slides` is False.
 
         Raises:
             ConfigurationError: q has the wrong size or is not finite, or dt is not positive.
@@ -138,12 +146,12 @@ class ResolvedRateController(LimitedController):
 
     @property
     def engine(self) -> Literal["native", "python"]:
-        """Engine of the commands: the compiled law (`pip install ./fast`), or the law in Python."""
+        """Engine that computes the commands: `"native"` (compiled, `pip install ./fast`) or `"python"`."""
         return "python" if self.native is None else "native"
 
     @cached_property
     def native(self) -> Any:
-        """The compiled law, see `native_law`; None where there is none."""
+        """The compiled law (see `native_law`); None if the commands are computed in Python."""
         return native_law(self._law, self.limits)
 
     def task_error(self, q: ArrayLike, t: float = 0.0) -> float:
@@ -156,13 +164,13 @@ class ResolvedRateController(LimitedController):
         return self.task.error(self.constraint, np.asarray(q, dtype=np.float64), t)
 
     def with_task(self, task: Task, constraint: Constraint) -> ResolvedRateController:
-        """Return this controller with another task along the rows of another constraint.
+        """Return a copy of this controller with another task and another constraint.
 
-        A null-space ascent of the constraint, or of its driven rows, is changed to the new constraint.
+        A `ManipulabilityAscent` (or similar policy) of the present constraint then climbs the new one.
 
         Args:
-            task: The task.
-            constraint: The constraint.
+            task: The new task.
+            constraint: The new constraint.
         """
         rows, policy = task.rows(constraint), self.null_policy
         for before, after in ((self.constraint, rows), (self.learnt, constraint)):
@@ -173,20 +181,20 @@ class ResolvedRateController(LimitedController):
 
     @property
     def law(self) -> ResolvedRateController:
-        """This controller itself."""
+        """This controller, as the law that computes the present command (see `LimitedController`)."""
         return self
 
     @property
     def laws(self) -> tuple[ResolvedRateController, ...]:
-        """This controller alone."""
+        """This controller alone, as a tuple."""
         return (self,)
 
     def with_limits(self, limits: Limits, lag: float = 0.0) -> ResolvedRateController:
-        """Return this controller with other limits.
+        """Return a copy of this controller with other limits.
 
         Args:
             limits: `Limits` of the same robot.
-            lag: Ignored: nothing compensates for a lag.
+            lag: Ignored: this controller does not compensate for a lag.
 
         Raises:
             ConstraintError: The limits belong to another robot.
@@ -210,11 +218,11 @@ class ResolvedRateController(LimitedController):
 
 @final
 class BoundedController(LimitedController):
-    """A user's own controller within limits.
+    """Wrapper that keeps a controller of your own within limits.
 
     Args:
-        controller: `(q, t, dt) -> Command`; only its velocity counts. It may write into its arguments, and return the
-            same array every time.
+        controller: Callable `(q, t, dt) -> Command`, of which only the velocity is used. It may write into its
+            arguments, and return the same array every time.
         limits: The limits.
     """
 
@@ -249,7 +257,7 @@ class BoundedController(LimitedController):
 
         Args:
             limits: `Limits` of the same robot.
-            lag: Ignored: nothing compensates for a lag.
+            lag: Ignored: this controller does not compensate for a lag.
         """
         return BoundedController(self.controller, limits)
 
@@ -275,9 +283,9 @@ def _compiled() -> Any:
 def native_law(law: Law, limits: Limits | None) -> Any:
     """Return the compiled law, `manip_learn_fast.NativeLaw`, or None if the law in Python has to be used.
 
-    `manip_learn_fast`, built from `fast/`, is optional: the law in Python is the reference, the compiled one follows it
-    section by section and returns the same numbers. Rows, tasks and policies that it does not implement (a user's own,
-    `FreeDirection`) are computed in Python and passed in.
+    `manip_learn_fast`, built from `fast/`, is optional. It returns the same numbers as the law in Python, which is the
+    reference. Rows, tasks and policies that it does not implement (your own, `FreeDirection`) are computed in Python
+    and passed to it.
 
     Args:
         law: The law in Python.

@@ -41,16 +41,16 @@ _LOGGER = logging.getLogger("manip_learn")
 class Driver(Protocol):
     """Interface of an arm for `run`.
 
-    It may also have `joint_names`, its own order of joints, from which and to which `run` maps (further joints, as of a
-    gripper, are commanded to their first measured positions); and `simulated`, True for an arm whose clock is the
-    number of commands and which `run` does not wait for, with `wait()`, in which a period passes without a command.
+    Only `period`, `read` and `command` are required. A driver may also have:
 
-    A driver of an arm with a gripper may have `gripper(word)`, which is called with `"close"` or `"open"`, once, where
-    the controller's motion contains that (see `repeat`), and returns without waiting for the gripper.
-
-    A driver that can let a person guide the arm also has `release()`, after which the joints turn freely, and `hold()`,
-    after which the arm keeps its position. If an arm cannot do that, `release()` raises a `ConfigurationError` that
-    explains how else to guide it.
+    - `joint_names`: names of its joints in its own order; `run` reorders readings and commands accordingly. Further
+      joints, e.g. of a gripper, are commanded to their first measured positions.
+    - `simulated`: True for a simulated arm, whose time is the number of commands times the period, so that `run` does
+      not wait between cycles. It then also has `wait()`, which lets a period pass without a command.
+    - `gripper(word)`: closes or opens a gripper. It is called once with `"close"` or `"open"` at each gripper action of
+      the controller's motion (see `repeat`), and returns without waiting for the gripper.
+    - `release()`, after which a person can guide the arm by hand, and `hold()`, after which the arm keeps its position.
+      If an arm cannot be released, `release()` raises a `ConfigurationError` that explains how else to guide it.
 
     Attributes:
         period: Time between two commands [s].
@@ -59,21 +59,23 @@ class Driver(Protocol):
     period: float
 
     def read(self) -> tuple[Posture, Posture | None, Posture | None]:
-        """Return the newest measured joint positions [rad or m], velocities and efforts; None for missing ones.
+        """Return the newest measured joint positions [rad or m], velocities and efforts.
 
-        Each is an array in the order of the joints, or a mapping from joint names.
+        Returns:
+            Three arrays in the order of the joints, or mappings from joint names to numbers. None for velocities or
+            efforts that are not measured, and for positions that have not come yet.
         """
         ...
 
     def command(self, q: Posture, u: Posture) -> object:
-        """Send joint positions for the end of the period, or velocities: a driver uses one of them.
+        """Send a command to the arm: either the joint positions or the joint velocities.
 
         Args:
-            q: Joint positions (nv,) [rad or m].
-            u: Joint velocities (nv,) [rad/s or m/s].
+            q: Joint positions (nv,) to reach at the end of the period [rad or m].
+            u: Joint velocities (nv,) during the period [rad/s or m/s].
 
         Returns:
-            Anything; the value is ignored.
+            Value that is ignored.
         """
         ...
 
@@ -84,12 +86,13 @@ class RunRecord:
     """Record of a `run`.
 
     Attributes:
-        rollout: Measured postures, commanded velocities, statuses; of a long run every second, fourth, ... cycle.
+        rollout: Measured postures, commanded velocities and statuses. In a long run only every second, fourth, ...
+            cycle is kept.
         cycles: Number of cycles.
         overruns: Number of cycles that began late by more than half a period.
         longest_delay: Largest delay of the beginning of a cycle [s].
         ended: Reason why the run ended, a sentence.
-        ordered: True if it ended as intended: after its duration, for the caller's reason, or by a signal.
+        ordered: True if it ended as intended: after its duration, by `until`, or by a signal.
         notes: Limitations of the record, in sentences.
     """
 
@@ -116,49 +119,50 @@ def run(
 ) -> RunRecord:
     """Run a servo loop on an arm: read, update, command, once per period.
 
-    However it ends, the arm first brakes within its limits and then stays at rest: after the duration, by a signal, if
-    the driver or `until` raises or the driver returns no valid posture, if the arm is blocked and has relaxed, if the
-    period changes or cannot be kept, and when the interpreter ends while it runs in a thread. Unless the reason was the
-    duration or the caller's, the driver's `hold()` is then called, if it has one. A single wrong reading brakes the arm
-    and does not end the run. Python's garbage collector is off meanwhile.
+    End of the run: the arm first brakes within its limits and then stays at rest. A run ends after the duration, by a
+    signal, if the driver or `until` raises, if the driver returns no valid posture, if the arm is blocked and has
+    relaxed, if the period changes or cannot be kept, and when the interpreter ends while `run` is in a thread. Then the
+    driver's `hold()` is called, if it has one, unless the reason was the duration or `until`. A single wrong reading
+    brakes the arm but does not end the run. Python's garbage collector is off during the run.
 
-    Nothing is sent before two successive readings agree to 0.05 rad or m and lie as near to the start of a plan, of a
-    repetition or of a `FollowMotion` (otherwise to the posture of the last `loop.reset`, or at a larger distance that
-    the servos may deflect by): a driver may read zeros, or an old posture, until its first state has come. After a
-    second without such readings, the run ends and reports the joint and both figures. Without a start of its own, a
-    driver that goes on reading zeros cannot be distinguished from an arm at zero: return None until there is a state.
+    Start: no command is sent until two successive readings agree to 0.05 rad or m, because a driver may read zeros, or
+    an old posture, until its first state has come. Both must also be as near to the start of a plan, of a repetition or
+    of a `FollowMotion`. A motion without a start of its own compares them with the posture of the last `loop.reset`
+    instead, with more tolerance if the servos may deflect by more. After a second without such readings, the run ends
+    and reports the joint and both figures. If there is no start to compare with, a driver that keeps reading zeros
+    cannot be distinguished from an arm at zero: return None from `read()` until there is a state.
 
-    A driver that reads other joints, units or signs than it commands is detected from the arm's motion: a first reading
-    outside the limits, or an arm that drifts while it is commanded to its own position, ends the run at once, and
-    nothing more is sent.
+    Wrong drivers: if `read` and `command` differ in the joints' order, units or signs, the arm's motion shows it. A
+    first reading outside the limits, or an arm that drifts while it is commanded to its own position, ends the run at
+    once, and nothing more is sent.
 
-    The signals are Ctrl-C, SIGTERM and SIGHUP (a stopped container, a closed terminal). After Ctrl-C the run returns.
-    After the other two the program ends, by `SystemExit` with 128 and the number of the signal; if it has a handler of
-    its own for the signal, that is called and the run returns. `run` waits for a call of the driver that blocks. A
-    signal aborts the call if it has taken longer than the loop's `stale_after`, and so does a second Ctrl-C: after
-    `read()` the arm brakes without being read, after `command()` nothing more is sent.
+    Signals: Ctrl-C, SIGTERM and SIGHUP (a stopped container, a closed terminal). After Ctrl-C the run returns. After
+    SIGTERM or SIGHUP the program's own handler is called and the run returns; if there is no handler, the program ends
+    by `SystemExit` with 128 plus the number of the signal. `run` waits for a call of the driver that blocks. A signal
+    aborts the call if it has taken longer than the loop's `stale_after`; a second Ctrl-C aborts it at once. If `read()`
+    was aborted, the arm brakes without further readings; if `command()` was, nothing more is sent.
 
-    Nothing catches kill -9, a crash of the interpreter or a loss of power: a driver should have a watchdog of its own,
-    which brakes the arm if no command has come for some periods, as UR, Franka and xArm have.
+    No program can catch kill -9, a crash of the interpreter or a loss of power: a driver should have a watchdog of its
+    own, which brakes the arm if no command has come for some periods, as UR, Franka and xArm have.
 
-    The loop starts afresh, from the commanded posture if `loop.reset(q)` has set one, otherwise from the first measured
-    one.
+    The loop is reset at the beginning: it starts from the commanded posture if `loop.reset(q)` has set one, otherwise
+    from the first measured posture.
 
     Args:
         loop: The loop; its `dt` is the driver's period.
         driver: The arm, see `Driver`.
-        duration: Time after which the arm brakes [s]; None goes on until Ctrl-C.
-        until: Called in each cycle: it returns a reason in words as soon as there is one, after which the arm brakes,
-            and else an empty text. Its exceptions are raised when the arm is at rest.
-        clock: Source of the time, for an arm whose time is not the computer's. The clock of a `simulated` driver is the
-            number of commands.
+        duration: Time after which the arm brakes [s]; None continues until Ctrl-C.
+        until: Function that is called in each cycle: it returns an empty text to continue, or a reason in words, after
+            which the arm brakes and the run ends. An exception from it is raised once the arm is at rest.
+        clock: Source of the time; by default the computer's clock. The time of a `simulated` driver is the number of
+            commands times the period, whatever the clock.
 
     Returns:
         The record, with the reason why the run ended.
 
     Raises:
         ConfigurationError: The driver's period is not the loop's, its joints are not the robot's, or the duration is
-            not a time.
+            not a number of seconds.
     """
     if duration is not None and not 0.0 <= duration < math.inf:
         raise ConfigurationError(f"duration must be a number of seconds, got {duration!r}")
@@ -178,7 +182,7 @@ def run(
 
 
 class Clock(Protocol):
-    """Source of a cycle's time."""
+    """Interface of a clock for `run` and `record`."""
 
     def now(self) -> float:
         """Return the time [s]; it never decreases."""
@@ -191,17 +195,17 @@ class Clock(Protocol):
             moment: Time of this clock [s].
 
         Returns:
-            Anything; the value is ignored.
+            Value that is ignored.
         """
         ...
 
 
 @final
 class ComputerClock:
-    """Clock of this computer."""
+    """Clock of the computer, the default of `run` and `record`."""
 
     def now(self) -> float:
-        """Return the time since an arbitrary moment [s]."""
+        """Return the time [s], counted from an arbitrary moment."""
         return time.perf_counter()
 
     def wait_until(self, moment: float) -> None:
@@ -217,19 +221,20 @@ class ComputerClock:
 
 @final
 class Pace:
-    """Cycles of a driver, one per period; the clock of a simulated driver is their number.
+    """Timing of a driver's cycles, one per period. The time of a simulated driver is the number of cycles times the
+    period.
 
     Args:
-        driver: Its `period`, and its `simulated`, are used.
+        driver: Driver whose `period` and `simulated` are used.
         clock: Source of the time of drivers that are not simulated.
 
     Attributes:
         period: Time between two cycles [s].
-        simulated: True if the cycles are not waited for.
+        simulated: True if `wait` returns at once, as for a simulated driver.
         cycles: Number of cycles, counted by the caller.
         overruns: Number of cycles that began late by more than half a period.
         longest_delay: Largest delay of the beginning of a cycle [s].
-        fault: Why the period is not kept, in words; empty if it is.
+        fault: Reason why the period is not kept, in words; empty if it is kept.
     """
 
     def __init__(self, driver: Any, clock: Clock):
@@ -240,7 +245,7 @@ class Pace:
         self.begin()
 
     def begin(self) -> None:
-        """Start the time of a clock at the next cycle."""
+        """Set `time` to 0 at the next cycle; a simulated driver keeps its time."""
         self._start, self._began = self._due, ComputerClock().now()
 
     @property
@@ -249,7 +254,7 @@ class Pace:
         return self.cycles * self.period if self.simulated else self._clock.now() - self._start
 
     def wait(self) -> float:
-        """Wait for the next cycle; a missed period is not made up for.
+        """Wait for the next cycle; if a period was missed, the next cycle is not brought forward.
 
         Returns:
             Time at which the cycle begins [s], see `time`.
@@ -277,33 +282,34 @@ class Pace:
 
 @final
 class CallAborted(KeyboardInterrupt):
-    """A signal during a call of the driver that does not return; its argument is the time since the call [s]."""
+    """Signal that aborts a call of the driver which does not return; the argument is the duration of the call [s]."""
 
 
 @final
 class Shutdown:
-    """Graceful shutdown: however a cycle ends, by a signal, an exception, or with the interpreter, the arm holds
-    itself.
+    """Graceful shutdown, a context manager around the cycles of a driver: the arm brakes, and `hold()` is called,
+    whether they end by a signal, an exception, or with the interpreter.
 
-    Ctrl-C, SIGTERM and SIGHUP (a stopped container, a closed terminal) end the cycle, at any point of it. They come to
-    the main thread; a cycle in another one, which would be killed with a daemon thread, ends when the interpreter ends,
-    which waits for it. A program that was started to ignore SIGTERM or SIGHUP, as by nohup, goes on ignoring it. After
-    one of these two, once the cycle has ended, the program's own handler is called; if there is none, the program ends
-    by `SystemExit` with 128 and the number of the signal. Uncatchable ends (kill -9, a loss of power) need a watchdog
-    in the driver or in the arm. Meanwhile no garbage is collected: a collection of 260 ms was measured.
+    Ctrl-C, SIGTERM and SIGHUP (a stopped container, a closed terminal) end the cycles at any point. Python delivers
+    signals to the main thread only; cycles in another thread end when the interpreter ends, which waits for them, even
+    for a daemon thread. A program that was started to ignore SIGTERM or SIGHUP, as by nohup, continues to ignore it.
+    After SIGTERM or SIGHUP, once the cycles have ended, the program's own handler is called; if there is none, the
+    program ends by `SystemExit` with 128 plus the number of the signal. Ends that no program can catch (kill -9, a loss
+    of power) need a watchdog in the driver or in the arm. The garbage collector is off in the context, because a
+    collection of 260 ms was measured.
 
     Args:
-        driver: Its `hold()`, if it has one, is called at the end.
-        brake: Called once, when there is a reason to end.
+        driver: Driver whose `hold()`, if it has one, is called at the end.
+        brake: Function without arguments, called once, when there is a reason to end.
         patience: Time that a call of the driver may take [s]; a signal after that aborts the call.
-        clock: Measures that time.
+        clock: Clock that measures the duration of the driver's calls.
 
     Attributes:
-        reason: Why the cycle is to end, in words; empty so far.
-        ordered: True if it ends for that reason as intended.
-        signals: Signals that have come; the end of the interpreter counts as Ctrl-C.
-        holds: True if `hold()` will be called; a driver that has not returned from one call gets no other.
-        failed: Aborted call, or `hold()` that raised -> the fault, in words.
+        reason: Reason for which the cycles end, in words; empty until there is one.
+        ordered: True if they end as intended.
+        signals: Numbers of the received signals; the end of the interpreter counts as Ctrl-C.
+        holds: True if `hold()` will be called at the end even without an exception.
+        failed: Names of the driver's methods that were aborted (or `hold` if it raised), and the faults in words.
         raised: Exception that will be raised when the arm is at rest.
     """
 
@@ -316,11 +322,11 @@ class Shutdown:
         self._call_time, self._is_over = math.inf, threading.Event()
 
     def stop(self, reason: str, ordered: bool = False) -> None:
-        """Brake, and end when the arm is at rest; the first reason counts.
+        """Brake, and end the cycles when the arm is at rest. After the first reason further ones are ignored.
 
         Args:
-            reason: Why, in words; an empty one does nothing.
-            ordered: True if the cycle thereby ends as intended.
+            reason: Reason, in words; an empty text does nothing.
+            ordered: True if the cycles end as intended.
         """
         if reason and not self.reason:
             self.reason, self.ordered = reason, ordered
@@ -328,12 +334,12 @@ class Shutdown:
 
     @property
     def outcome(self) -> tuple[str, bool]:
-        """Why the cycle ended and the faults of the shutdown, in words; and True if it ended as intended."""
+        """Reason of the end and faults of the shutdown, in words; and True if it was intended and without fault."""
         return "; ".join((self.reason, *self.failed.values())), self.ordered and not self.failed
 
     @contextmanager
     def waiting(self, call: str) -> Iterator[None]:
-        """Handle a call of the driver, which a signal aborts if it does not return, as does a second Ctrl-C.
+        """Open a context for a call of the driver: a signal after `patience`, or a second Ctrl-C, aborts the call.
 
         Args:
             call: Name of the driver's method, for `failed`.
@@ -350,11 +356,14 @@ class Shutdown:
             self._call_time = math.inf
 
     def ask(self, call: str, *arguments: Any) -> Any:
-        """Return the driver's answer; None if it has no such method, or one that does not return or raises.
+        """Call a method of the driver. If the call raises, the arm is braked and the cycles end.
 
         Args:
             call: Name of the driver's method.
             *arguments: Arguments of the call.
+
+        Returns:
+            Value of the call; None if the driver has no such method, or if the call was aborted or raised.
         """
         try:
             if call not in self.failed and (function := getattr(self._driver, call, None)) is not None:
@@ -631,7 +640,8 @@ class _Arm:
         """Return joint positions in the robot's order, from the driver's or from a mapping.
 
         Raises:
-            ConfigurationError: A name is missing, their number is another, or the driver's order has changed.
+            ConfigurationError: The position of a joint is missing, the number of positions is wrong, or the driver's
+                order of the joints has changed.
         """
         q, _, _ = self._driver.read()
         if q is not None and self._names and not isinstance(q, Mapping):

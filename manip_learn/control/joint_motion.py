@@ -32,33 +32,34 @@ ARRIVED = 1e-3
 
 @final
 class FollowMotion(LimitedController):
-    """A controller that follows a joint motion as closely as the limits allow; for a `ServoLoop`.
+    """Controller for a `ServoLoop` that follows a recorded joint motion as closely as the limits allow.
 
-    Between samples the motion is a monotone cubic (F. N. Fritsch and R. E. Carlson, 1980), which adds no overshoot. A
-    step that its joint could only make faster than its velocity limit is a jump: until the next sample the joint
-    continues as before, and then moves to the motion in the shortest time. No other joint waits for it. If the motion
-    itself is faster than the velocity limits or the limit of the tip's speed, its clock runs slower, so that the path
-    stays the same. First the joints go to the first posture, at a quarter of their velocity limits, and the clock
-    starts there (`run` requires an arm that is within 0.05 rad or m of it); at the end they stay at the last one.
+    First the joints move to the first posture, at a quarter of their velocity limits, and the motion starts there
+    (`run` requires an arm that is within 0.05 rad or m of it); at the end they stay at the last posture. Between
+    samples the motion is a monotone cubic (F. N. Fritsch and R. E. Carlson, 1980), which adds no overshoot. If the
+    motion is faster than the limits of the joints or of the tip's speed, its time runs slower, so that the path stays
+    the same.
+
+    A step between two samples that exceeds the velocity limit of its joint is a jump. The joint then keeps its velocity
+    until the next sample, and returns to the motion in the shortest time; the other joints do not wait for it.
 
     Args:
         robot: The robot.
-        motion: Recorded motion, or anything with a rollout's `time`, `q` and `joint_names`; columns are matched by
-            joint names where it has some.
+        motion: Recorded motion: a `Trajectory`, a `Rollout`, or an object with their `time`, `q` and `joint_names`.
+            Joints are matched by name if it has names, otherwise by their order.
         limits: Limits; by default the robot's. A `ServoLoop` adds its own acceleration and jerk limits.
-        ahead: Time by which the output of a loop lags behind, for which the motion compensates [s]; a `ServoLoop` with
-            jerk limits sets half of its average.
+        ahead: Lag of the loop's output behind this controller, for which the motion compensates [s]. A `ServoLoop` with
+            jerk limits sets it to half of its averaging time.
 
     Attributes:
         duration: Duration of the motion [s].
-        jumps: Steps that a joint could only make faster than its limit, in sentences; a `ServoLoop` has them in its
-            `notes`.
-        delay: Additional time compared with the recording so far, without the motion to the first posture [s]; a loop
-            follows with a copy within its own limits, so read `loop.controller.delay`.
+        jumps: The jumps of each joint, in sentences; also in `ServoLoop.notes`.
+        delay: Time by which the motion is behind the recording so far, without the motion to the first posture [s]. A
+            loop runs a copy of this controller: read `loop.controller.delay`.
 
     Raises:
-        ConfigurationError: Fewer than two samples, other joints than the robot's, numbers that are not finite, or time
-            that does not increase.
+        ConfigurationError: The motion has fewer than two samples, lacks a joint of the robot, has numbers that are not
+            finite, or its time does not increase.
 
     Example:
         >>> import numpy as np
@@ -88,14 +89,14 @@ class FollowMotion(LimitedController):
 
     @property
     def start(self) -> Vector:
-        """Joint positions at which the motion begins [rad or m]."""
+        """Joint positions (nv,) at which the motion begins [rad or m]."""
         return self.at(0.0)
 
     def driven_motions(self, q: Posture) -> Float[np.ndarray, "nv nv"]:
         """Return the motions of the joints that are driven: all.
 
         Args:
-            q: Posture; it does not matter.
+            q: Posture; not used.
 
         Returns:
             The identity (nv, nv).
@@ -103,20 +104,20 @@ class FollowMotion(LimitedController):
         return np.eye(self.robot.nv)
 
     def with_limits(self, limits: Limits, lag: float = 0.0) -> FollowMotion:
-        """Return this motion within other limits.
+        """Return a copy of this motion with other limits.
 
         Args:
             limits: `Limits` of the same robot.
-            lag: Time by which the output of the loop lags behind [s], for which the motion compensates.
+            lag: Time by which the output of the loop lags behind this controller [s], for which the motion compensates.
         """
         return FollowMotion(self.robot, self.motion, limits, ahead=lag)
 
     def reset(self) -> None:
-        """Forget the past: the next call begins with the first posture again."""
+        """Forget previous calls: the next call starts again with the motion to the first posture."""
         self._clock, self._since, self._rate, self.delay = -math.inf, math.inf, 0.0, 0.0
 
     def at(self, s: float) -> Vector:
-        """Return joint positions of the motion (nv,) [rad or m].
+        """Return the joint positions of the motion at a time (nv,) [rad or m].
 
         Args:
             s: Time since the first sample [s].
@@ -126,7 +127,14 @@ class FollowMotion(LimitedController):
     def __call__(
         self, q: Posture, t: float = 0.0, dt: float | None = None, previous: Vector | None = None, slide: float = 0.0
     ) -> Command:
-        """Return the velocity for the next dt.
+        """Return the command for the next step.
+
+        Args:
+            q: Commanded posture.
+            t: Time [s].
+            dt: Length of the step [s]; required.
+            previous: Velocity commanded in the previous step (nv,) [rad/s or m/s]; None for no acceleration limit.
+            slide: Not used.
 
         Raises:
             ConfigurationError: dt is missing.
@@ -166,11 +174,11 @@ class FollowMotion(LimitedController):
         return rate + np.sign(away) * stopping_speed(np.abs(away), self.limits.acceleration, dt), rate
 
     def task_error(self, q: ArrayLike, t: float = 0.0) -> float:
-        """Return the largest distance of a joint from the motion at the present time of its clock [rad or m].
+        """Return the largest distance of a joint from its present position in the motion [rad or m].
 
         Args:
             q: Posture.
-            t: Ignored; the motion has a clock of its own.
+            t: Not used; the controller keeps the time of the motion itself.
         """
         return float(np.max(np.abs(self.robot.difference(q, self.at(max(self._clock, 0.0)))), initial=0.0))
 
@@ -233,7 +241,7 @@ class _Path:
 
 
 def every_joint(robot: Robot) -> Constraint:
-    """Return A(q) = I: a row for the velocity of each joint.
+    """Return the constraint A(q) = I (nv, nv), with one row for the velocity of each joint.
 
     Args:
         robot: The robot.
@@ -248,24 +256,26 @@ def _constant(value: np.ndarray, _q: np.ndarray) -> np.ndarray:
 
 @final
 class JointMotion(Task):
-    """b = dq*/dt + gain (q*(t) - q): a motion from posture to posture, at rest in each, or smooth through all of them.
+    """Task for a joint motion from posture to posture, at rest in each of them, or smooth through all of them.
 
-    It begins at time 0 of its law; a `LawSequence` starts each law at 0. Each leg takes the time that its slowest joint
-    needs, and the tip where its speed is limited.
+    The task's velocity is b = dq*/dt + gain (q*(t) - q), with the planned positions q*(t) and the constraint
+    `every_joint`. The motion begins at time 0; a `LawSequence` starts each of its laws at time 0. Each leg, the motion
+    between two postures, takes the time that its slowest joint needs, or longer if the speed of the tip is limited.
 
     Args:
         limits: Limits of the robot's joints and tip.
         path: shape (k, nv), postures as joint positions [rad or m], the start first.
-        share: Largest used share of the joints' velocity limits.
-        gripper: Action of a gripper during the motion, `"close"` or `"open"`, for which it has half a second at least.
-        through: True for a single leg, a spline through all postures, instead of straight legs between them.
+        share: Largest used share of the joints' velocity limits, 0 to 1.
+        gripper: Gripper action during the motion, `"close"` or `"open"`: the motion then takes half a second or more.
+            None for no action.
+        through: True for a single leg, a spline through all postures; False for a straight leg between each two.
 
     Attributes:
         start: shape (nv,), the first posture [rad or m].
         duration: Duration of the motion if no limit slows it down [s].
 
     Raises:
-        ConfigurationError: Postures that are not finite or of another size.
+        ConfigurationError: Postures that are not finite or have the wrong size.
     """
 
     is_approach, waits, slides = True, True, False
@@ -285,7 +295,7 @@ class JointMotion(Task):
         self.start, self._last = table[0], table[-1]
 
     def at(self, t: float) -> tuple[Vector, Vector]:
-        """Return positions (nv,) and velocities (nv,) of the joints [rad or m, rad/s or m/s].
+        """Return the planned joint positions (nv,) [rad or m] and velocities (nv,) [rad/s or m/s] at a time.
 
         Args:
             t: Time since the start [s].
@@ -298,10 +308,10 @@ class JointMotion(Task):
         return path(share), rate * path(share, 1)
 
     def velocity(self, constraint: Constraint, q: np.ndarray, t: float) -> Vector:
-        """Return b of every joint, shape (nv,) [rad/s or m/s].
+        """Return the task's velocity b, one entry per joint, shape (nv,) [rad/s or m/s].
 
         Args:
-            constraint: `every_joint`; it is not used.
+            constraint: Not used; `every_joint` is assumed.
             q: Posture.
             t: Time since the start [s].
         """
@@ -309,8 +319,9 @@ class JointMotion(Task):
         return rate + self.gain * self._robot.difference(q, goal)
 
     def is_over(self, q: ArrayLike, t: float) -> bool:
-        """Return True if the time of the motion is over and it has arrived, or a second later: encoder noise may hide
-        the arrival.
+        """Return True if `duration` has passed and the arm is at the last posture, or a second later in any case.
+
+        Encoder noise may hide the arrival, therefore the second.
 
         Args:
             q: Posture.
@@ -320,7 +331,7 @@ class JointMotion(Task):
         return late >= 0.0 and (late >= 1.0 or float(np.linalg.norm(off)) < ARRIVED)
 
     def error(self, constraint: Constraint, q: np.ndarray, t: float) -> float:
-        """Return the distance of the joints from the last posture [rad or m], a norm over all joints.
+        """Return the distance of the joints from the last posture [rad or m], the Euclidean norm over all joints.
 
         Args:
             constraint: Not used.
@@ -362,21 +373,22 @@ def _leg(limits: Limits, knots: Float[np.ndarray, "k nv"], share: float) -> tupl
 
 @final
 class LawSequence(LimitedController):
-    """Laws in sequence: motions of all joints to a posture, and motions along free directions of a constraint.
+    """Controller that runs several `ResolvedRateController`s (laws) one after another.
 
-    It begins with the first call; a call at or before that time after later ones is a new run. A motion of the joints
-    ends when it has arrived, a motion along a free direction when all of it is done: an incomplete one is not followed
-    by the next law.
+    The laws are joint motions to a posture (`JointMotion`), and motions along free directions of a constraint. The
+    sequence starts with the first call. It starts again if a later call has a time at or before that of the first one.
+    The next law follows when a joint motion has arrived, or when a motion along a free direction is complete; if that
+    motion cannot be completed, its law stays active.
 
     Args:
-        laws: In order; the last one stays in force.
+        laws: The laws, in order; the last one stays active at its end.
 
     Attributes:
-        laws: The same.
+        laws: The laws.
         robot: The robot of all laws.
-        limits: Limits of the first law; in a loop the limits of all of them.
-        number: Number of the law in force, from 0.
-        began: Time at which that law started [s]; None before the first call.
+        limits: Limits of the first law; a `ServoLoop` sets its limits for all laws.
+        number: Index of the active law, from 0.
+        began: Time at which the active law started [s]; None before the first call.
     """
 
     def __init__(self, *laws: ResolvedRateController):
@@ -384,38 +396,38 @@ class LawSequence(LimitedController):
         self.reset()
 
     def reset(self) -> None:
-        """Forget the start: the next call is the first one again."""
+        """Forget previous calls: the next call starts the first law again."""
         self.number, self.began = 0, None
         self._first, self._latest = math.inf, -math.inf  # times of calls [s]
         super().reset()
 
     @property
     def gripper(self) -> Gripping | None:
-        """The newest word to the gripper, `"close"` or `"open"`; None before the first."""
+        """The latest gripper action up to now, `"close"` or `"open"`; None if there was none yet."""
         return next((law.task.gripper for law in reversed(self.laws[: self.number + 1]) if law.task.gripper), None)
 
     @property
     def law(self) -> ResolvedRateController:
-        """The law in force."""
+        """The active law."""
         return self.laws[self.number]
 
     @property
     def constraint(self) -> Constraint:
-        """The rows of `way`."""
+        """Constraint of `way`."""
         return self.way.constraint
 
     @property
     def way(self) -> ResolvedRateController:
-        """The law in force; during a motion of the joints the law that it leads to."""
+        """The active law; during a joint motion the next law that is not a joint motion, or the last one if none is."""
         ahead = self.laws[self.number :]
         return next((law for law in ahead if not law.task.is_approach), ahead[-1])
 
     def __call__(
         self, q: ArrayLike, t: float = 0.0, dt: float | None = None, previous: Vector | None = None, slide: float = 0.0
     ) -> Command:
-        """Return the command at posture q; arguments and errors as for `ResolvedRateController`.
+        """Return the command of the active law; arguments and errors as for `ResolvedRateController`.
 
-        The manipulability always belongs to the rows of `way`.
+        The command's manipulability is always the one of `constraint`, also during joint motions.
         """
         if t <= self._first < self._latest:
             self.reset()
@@ -428,20 +440,20 @@ class LawSequence(LimitedController):
         return command if law is way else command._replace(manipulability=manipulability(way.constraint, q))
 
     def task_error(self, q: ArrayLike, t: float = 0.0) -> float:
-        """Return the distance to the goal of the law in force [m or rad].
+        """Return the distance to the goal of the active law [m or rad].
 
         Args:
             q: Posture.
-            t: Time of the calls [s].
+            t: Time on the clock of the calls [s].
         """
         return self.law.task_error(q, t - (self.began or 0.0))
 
     def with_limits(self, limits: Limits, lag: float = 0.0) -> LawSequence:
-        """Return these laws with other limits.
+        """Return a copy of this sequence with other limits.
 
         Args:
             limits: `Limits` of the same robot.
-            lag: Ignored: nothing compensates for a lag.
+            lag: Ignored: this controller does not compensate for a lag.
         """
         return LawSequence(*(law.with_limits(limits) for law in self.laws))
 

@@ -1,4 +1,4 @@
-"""The law: equation (2) with damping near singularities, brought within bounds by one quadratic program."""
+"""The control law: equation (2) with damping near singularities, brought within bounds by one quadratic program."""
 
 from __future__ import annotations
 
@@ -39,22 +39,25 @@ STALLED_BELOW, SCALED_BELOW = 0.02, 0.999
 
 @final
 class Desired(NamedTuple):
-    """The law at one posture before bounds, and the quantities that the program needs of it.
+    """Desired velocity of the law at one posture, before joint limits, and the quantities for the quadratic program.
 
     Attributes:
-        A: Rows whose velocity is b: the rows of the constraint, or of the error (see `Task.error_jacobian`).
+        A: Matrix (s, nv) of A u = b: the constraint's rows, or the Jacobian of the task's error (see
+            `Task.error_jacobian`).
         b: Desired velocity of these rows (s,), in their units per second.
-        task: A^# b (nv,) [rad/s or m/s].
-        null: The policy's part in the null space of A (nv,).
-        escape: The policy's part along directions that are nearly lost; None away from singularities.
+        task: Task part A^# b (nv,) [rad/s or m/s], with the (damped) pseudo-inverse A^# of A.
+        null: Part of the policy's velocity in the null space of A (nv,) [rad/s or m/s].
+        escape: Part of the policy's velocity along directions that A nearly loses (nv,) [rad/s or m/s]; None away from
+            singularities.
         mu: Manipulability of the constraint.
-        smallest: Its smallest singular value.
-        basis: Orthonormal basis of the rows that are not lost (k, nv).
-        gain: Y (s, nv), so that A^# b = Y^T b.
+        smallest: Smallest singular value of the constraint.
+        basis: Orthonormal basis (k, nv) of the span of A's rows, without directions that A has lost.
+        gain: Transposed pseudo-inverse Y (s, nv): A^# b = Y^T b.
         is_damped: True if the law is damped: the constraint's smallest singular value is below the threshold.
-        damping: lambda of the driven rows; 0 away from singularities.
-        bend: c, the excess of the rows' mean velocity over the step over A u; A u = b - c is wanted.
-        rows: A(q) of the constraint.
+        damping: Damping factor lambda of the driven rows; 0 away from singularities.
+        bend: Correction c (s,) for the change of A during the step: the rows' mean velocity is A u + c, so that u has
+            to satisfy A u = b - c.
+        rows: Constraint matrix A(q) (s, nv).
     """
 
     A: Float[np.ndarray, "s nv"]
@@ -73,14 +76,14 @@ class Desired(NamedTuple):
 
     @property
     def is_lost(self) -> bool:
-        """True if A loses a direction: at a singularity, or with more rows than joints where b is not feasible."""
+        """True if A has lost a direction: at a singularity, or, with more rows than joints, if b is not feasible."""
         if self.A.shape[0] > self.A.shape[1]:
             return self.escape is not None and self.progress(self.task) < SCALED_BELOW
         return self.escape is not None and self.smallest <= SINGULAR_RATIO * float(np.abs(self.A).max())
 
     @property
     def velocity(self) -> Vector:
-        """u*, the sum of its parts [rad/s or m/s]."""
+        """Velocity u* before limits (nv,) [rad/s or m/s]: the sum of task, null-space and escape part."""
         return self.task + self.null + (0.0 if self.escape is None else self.escape)
 
     def progress(self, u: Vector) -> float:
@@ -103,8 +106,8 @@ class Desired(NamedTuple):
         Args:
             progress: Fraction of the requested velocity along b that is achieved.
             outside: Largest distance of a joint beyond its position limits [rad or m].
-            scale: Factor on the task.
-            changed: True if bounds change the law.
+            scale: Factor on the task part.
+            changed: True if the command differs from u* because of bounds.
             cause: The limit that restricts the command most, POSITION, VELOCITY or ACCELERATION; -1 for a singularity.
             fits: True if the task part alone is within the bounds.
         """
@@ -120,10 +123,10 @@ class Desired(NamedTuple):
         return unchanged if self.is_damped or not changed else Status.NULL_SCALED if fits else Status.REROUTED
 
     def unconstrained_command(self, u: Vector, outside: float) -> Command:
-        """Return the command u* for the case that no bound changes it.
+        """Return the command if u* is within the bounds.
 
         Args:
-            u: u*, with rounding clipped to the bounds (nv,) [rad/s or m/s].
+            u: u* (nv,) [rad/s or m/s], clipped to the bounds to remove rounding errors.
             outside: Largest distance of a joint beyond its position limits [rad or m].
         """
         progress = 1.0 if self.escape is None else self.progress(u)
@@ -131,13 +134,14 @@ class Desired(NamedTuple):
         return Command(u, status, self.mu, self.b, *parts, self.smallest, self.escape, progress, outside)
 
     def limited_command(self, bounds: Bounds, wish: Vector, u: Vector, cause: int) -> Command:
-        """Return the command for the case that bounds change the law.
+        """Return the command if u* is not within the bounds.
 
         Args:
             bounds: The bounds.
             wish: u* (nv,) [rad/s or m/s].
             u: Velocity within the bounds (nv,) [rad/s or m/s].
-            cause: The limit that counts where no joint is at a bound, -1 for a singularity.
+            cause: Limit that is reported if no joint is at a bound: POSITION, VELOCITY or ACCELERATION; -1 for a
+                singularity.
         """
         null_part, escape = u - self.basis.dot(u).dot(self.basis), self.escape
         task_part = u - null_part
@@ -164,47 +168,47 @@ def _share(part: Vector, whole: Vector) -> float:
 @final
 @dataclass(frozen=True, eq=False)
 class Law:
-    """u = A^+ b + N w, equation (2) of Manavalan and Howard, in three priorities and within limits.
+    """Control law u = A^+ b + N w, equation (2) of Manavalan and Howard, in three priorities and within limits.
 
-    The rows of A have two parts, which the task distinguishes: held rows and driven rows. With P the projector on the
-    driven ones, the velocity before bounds is
+    The task divides the rows of A into held rows and driven rows. With P the projector on the driven ones, and w the
+    velocity of the null-space policy, the velocity before bounds is
 
         u* = argmin |A u - b|^2_{1 / Lambda^2} + |u - w|^2 = w + A^T (A A^T + Lambda^2)^-1 (b - A w),
         Lambda^2 = share^2 lambda^2 (P + h^2 (1 - P)),    share = 1 - (sigma / threshold)^2, 0 above the threshold,
         h = 0.1.
 
-    Where the smallest singular value sigma of A is above the threshold, Lambda is 0 and u* is equation (2), exactly.
-    Below it, a direction whose singular value is less than Lambda no longer constrains the motion, and w moves it: this
-    is both the damping and the escape from the singularity. (The policy's part along such directions is at most 0.2
-    rad/s, and fades towards 0.6 times the threshold: targets beyond that are reached.)
+    Above the threshold of the smallest singular value sigma of A, Lambda is 0 and u* is equation (2), exactly. Below
+    it, a direction whose singular value is less than Lambda no longer constrains the motion, and w moves the arm along
+    it: this is both the damping and the escape from the singularity. (The policy's part along such directions is at
+    most 0.2 rad/s; it fades and is 0 above 0.6 times the threshold, so that targets there are reached.)
 
-    For an arm in motion b is the mean velocity of the rows over the step, so that an explicit step of dt stays on the
-    path of the task: b - c replaces b, with the velocity v of the previous step and
+    For an arm in motion, b is the mean velocity of the rows during the step, so that an explicit step of dt stays on
+    the path of the task: b - c replaces b, with the velocity v of the previous step and
 
         c = (A(q + dt/2 v) - A(q)) v,    |c| <= STABLE_SLOPE sigma |v| / 2.
 
-    If u* is within the bounds it is the command. If not, the part of u* that drives the task is slowed down to the
-    velocity limits, to the approach of a singularity, and until the joints can brake while the hand stays on its
-    constraint (see `_braking_share`): null-space motion makes no room for that. The command is the point within the
-    bounds that is nearest to the resulting u*:
+    If u* is within the bounds it is the command. If not, the part of u* that drives the task is first slowed down for
+    the velocity limits, for the allowed rate of approach to a singularity, and so that the joints can brake while the
+    hand stays on its constraint (see `_braking_share`); null-space motion cannot replace this. The command is the point
+    within the bounds that is nearest to the resulting u*:
 
         min  |(1 - d d^T) A (u - u*)|^2 / ACROSS^2 + |d^T A (u - u*)|^2 / ALONG^2 + |u - u*|^2
         low <= u <= high,    G u >= least
 
-    d is the unit vector of the driven part of b. So the hand first stays on its constraint and keeps its direction,
-    then keeps its speed, and then follows the policy: null-space motion makes room for the task before the task slows
-    down (Flacco, De Luca and Khatib, "Control of redundant robots under hard joint constraints: saturation in the null
-    space", 2015). The rows G bound the approach to a singularity and to walls. The program is strictly convex and u*
-    continuous, so that the command is continuous; it is solved by DAQP (Arnstrom, Bemporad and Axehill, "A dual
-    active-set solver for embedded quadratic programming using recursive LDL^T updates", 2022).
+    where d is the unit vector of the driven part of b. The order of priority is: the hand stays on its constraint and
+    keeps its direction, then it keeps its speed, then it follows the policy. Null-space motion makes room for the task
+    before the task slows down (Flacco, De Luca and Khatib, "Control of redundant robots under hard joint constraints:
+    saturation in the null space", 2015). The rows G bound the approach to a singularity and to walls. The program is
+    strictly convex and u* is continuous, so that the command is continuous. It is solved by DAQP (Arnstrom, Bemporad
+    and Axehill, "A dual active-set solver for embedded quadratic programming using recursive LDL^T updates", 2022).
 
     Args:
-        constraint: A(q).
-        task: b(q, t), and the driven rows.
-        null_policy: w(q, t).
+        constraint: Constraint A(q).
+        task: Task b(q, t), and the driven rows.
+        null_policy: Null-space policy w(q, t).
         inverse: `"damped"` as above; `"exact"` or `"truncated"`: u* has that inverse and the exact projector.
-        threshold: Singular value of A below which damping sets in.
-        damping: lambda.
+        threshold: Singular value of A below which damping sets in, in the constraint's units (m or 1).
+        damping: Damping factor lambda of the driven rows at a singular value of 0.
     """
 
     constraint: Constraint
@@ -216,20 +220,20 @@ class Law:
 
     @property
     def ascends(self) -> bool:
-        """True if the policy climbs the manipulability of these very rows."""
+        """True if the policy is a `ManipulabilityAscent` of the law's own constraint."""
         policy = self.null_policy
         return isinstance(policy, ManipulabilityAscent) and policy.constraint is self.constraint
 
     # ---- before bounds ----------------------------------------------------------------------------------------------
 
     def desired(self, q: np.ndarray, t: float, dt: float, limits: Limits | None) -> Desired:
-        """Return the law at a posture, before bounds.
+        """Return the desired velocity at a posture, before bounds.
 
         Args:
             q: Posture.
             t: Time [s].
             dt: Step [s].
-            limits: Limits, which decide the sense in which the arm leaves an exact singularity; None for none.
+            limits: Limits; at an exact singularity the arm moves away from the nearer position limits. None for none.
 
         Raises:
             ConfigurationError: The posture has the wrong size or is not finite, or an exact inverse overflows.
@@ -285,12 +289,12 @@ class Law:
         return Desired(rows, b, task, null, escape, mu, smallest, V, Y, smallest < self.threshold, damping, rows=A)
 
     def bend(self, q: np.ndarray, dt: float, A: np.ndarray, u: np.ndarray) -> Float[np.ndarray, " s"]:
-        """Return c = (A(q + dt/2 u) - A(q)) u, the excess of the rows' mean velocity over a step over A u.
+        """Return c = (A(q + dt/2 u) - A(q)) u, the difference of the rows' mean velocity during a step and A(q) u.
 
         Args:
             q: Posture.
             dt: Step [s].
-            A: A(q).
+            A: Constraint matrix A(q) (s, nv).
             u: Joint velocity (nv,) [rad/s or m/s].
 
         Returns:
@@ -315,7 +319,7 @@ class Law:
         return law._replace(task=law.task - c.dot(law.gain), bend=c)
 
     def task_velocity(self, q: np.ndarray, t: float, dt: float) -> VelocityAndJacobian:
-        """Return b for a step, and E (see `Task.error_jacobian`).
+        """Return the task's velocity b for a step, and the Jacobian E of its error (see `Task.error_jacobian`).
 
         Args:
             q: Posture.
@@ -323,7 +327,7 @@ class Law:
             dt: Step [s].
 
         Returns:
-            b (s,), in the rows' units per second, and E (s, nv); None where E is A(q).
+            b (s,), in the rows' units per second, and E (s, nv), or None if E is A(q).
 
         Raises:
             TargetError: The task's target does not fit the constraint, or b is not finite.
@@ -333,7 +337,7 @@ class Law:
         return _checked(b, self.constraint.n_constraints, "the task's velocity b"), E
 
     def policy_velocity(self, q: np.ndarray, t: float, dt: float) -> Vector:
-        """Return w for a step.
+        """Return the null-space policy's velocity w for a step.
 
         Args:
             q: Posture.
@@ -344,7 +348,7 @@ class Law:
             shape (nv,) [rad/s or m/s].
 
         Raises:
-            TargetError: It has another size, or is not finite.
+            TargetError: The policy's velocity has the wrong size, or is not finite.
         """
         return _checked(self.null_policy.over_step(q, t, dt), self.constraint.nv, "the null-space policy's velocity")
 
@@ -387,9 +391,9 @@ class Law:
             q: Posture, already checked.
             t: Time [s].
             dt: Step [s].
-            limits: Limits; None returns the law before bounds.
-            previous: Velocity of the previous step (nv,) [rad/s or m/s]; None bounds no acceleration.
-            slide: Share of the task's direction that is given up, 0 to 1 (see `next_slide`).
+            limits: Limits; None for the command without any limits.
+            previous: Velocity of the previous step (nv,) [rad/s or m/s]; None for no limit of the acceleration.
+            slide: Share of the task's direction that is given up at limits, 0 to 1 (see `next_slide`).
         """
         law = self.desired(q, t, dt, limits)
         if limits is None:
@@ -498,14 +502,14 @@ def _limit_drive(law: Desired, D: np.ndarray, limits: Limits, barrier: Barrier |
 
 
 def nearest_within(wish: Vector, W: Float[np.ndarray, "s nv"], bounds: Bounds, barrier: Barrier | None) -> Vector:
-    """Return argmin |W (u - wish)|^2 + |u - wish|^2 within bounds, and with G u >= least if the bounds allow it.
+    """Return the velocity u that minimises |W (u - wish)|^2 + |u - wish|^2 within bounds and, if possible, a barrier.
 
-    With R^T R = 1 + W^T W the program is solved for z = R (u - wish): using the metric itself, whose condition number
-    is the square of R's, would cost eight digits. The bounds have precedence over the barrier.
+    The program is solved for z = R (u - wish) with R^T R = 1 + W^T W. Solving it for u would cost eight digits, because
+    the condition number of R^T R is the square of R's. The bounds have precedence over the barrier.
 
     Args:
         wish: Desired velocity (nv,) [rad/s or m/s].
-        W: Weighted rows (s, nv); s may be 0.
+        W: Weights (s, nv) of the deviation u - wish; s may be 0.
         bounds: Bounds on u.
         barrier: Rows G u >= least; None for none.
     """
@@ -538,17 +542,18 @@ def _constants(nv: int, rows: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def next_slide(slide: float, command: Command, dt: float) -> float:
-    """Return the next `slide` of a command: it grows while limits keep the task from continuing.
+    """Return the value of `slide` for the next step: the share of its direction that a task gives up at limits.
 
-    A task that is slowed down to half of its speed gives up a tenth of its direction in 0.1 s; one that stalls gives up
-    all of it in 0.25 s, because out of reach the joints would oscillate. Once the task continues, at 90 % of its speed,
-    the direction is restored within a second. A task that requests less than 2 mm/s has almost arrived: then the policy
-    must not move the hand away.
+    The share grows while limits hold the task up. A task that is slowed down to less than half of its speed gives up a
+    tenth of its direction in 0.1 s. A task that stalls gives up all of it in 0.25 s, because out of reach the joints
+    would oscillate. When the task has more than 90 % of its speed again, the direction is restored within a second; so
+    it is when the requested velocity is less than 2 mm/s, because the task has almost arrived and the policy must not
+    move the hand away.
 
     Args:
         slide: Present value, 0 to 1.
         command: The newest command.
-        dt: Time for which the command is held [s].
+        dt: Time for which the command is applied [s].
     """
     requested, some = math.sqrt(command.task_velocity.dot(command.task_velocity)), 0.1
     if requested <= 2e-3 or command.progress > 0.9:

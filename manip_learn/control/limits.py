@@ -24,9 +24,10 @@ FINE = 1e-13  # [rad/s or m/s] excess of a velocity over a bound due to rounding
 
 
 def stopping_speed(distance: Vector, acceleration: Vector, dt: float) -> Vector:
-    """Return the speed now with which a joint covers a distance to rest in the fewest steps of dt.
+    """Return the highest speed for the next step from which a joint can still stop within a distance.
 
-    At unit acceleration the steps x, x - 1, x - 2, ... > 0 [dt^2] add up to the remaining distance.
+    The joint then brakes in steps of dt: its displacements per step decrease by acceleration * dt^2 from step to step,
+    and add up to the distance.
 
     Args:
         distance: Remaining distances (nv,), at least 0 [rad or m].
@@ -42,20 +43,21 @@ def stopping_speed(distance: Vector, acceleration: Vector, dt: float) -> Vector:
 
 
 def farthest_positions(robot: Robot) -> Vector | float:
-    """Return magnitudes that no joint position reaches, whatever turn its encoder counts.
+    """Return upper bounds of the absolute joint positions, beyond which a reading cannot be a position.
 
     Args:
         robot: The robot.
 
     Returns:
-        A turn beyond the farther limit of each joint (nv,) [rad or m]; 1e6 where a limit is infinite or nq is not nv.
+        For each joint the larger absolute position limit plus 2 pi (nv,) [rad or m], because an encoder may be off by
+        a turn; the number 1e6 for all joints if any limit is infinite or if nq differs from nv.
     """
     farthest = np.maximum(np.abs(robot.position_lower), np.abs(robot.position_upper)) + 2.0 * math.pi
     return farthest if robot.nq == robot.nv and bool(np.all(np.isfinite(farthest))) else 1e6
 
 
 def check_inside(robot: Robot, positions: Vector) -> None:
-    """Refuse a start outside the position limits.
+    """Check that a start is within the position limits.
 
     Args:
         robot: The robot.
@@ -79,7 +81,8 @@ class Bounds(NamedTuple):
 
     Attributes:
         low: shape (nv,) [rad/s or m/s].
-        high: shape (nv,) [rad/s or m/s]; low <= high, and both have one sign where a joint must brake or return.
+        high: shape (nv,) [rad/s or m/s]; low <= high. If a joint must keep moving, because it brakes or returns from
+            outside its limits, both have the same sign.
         low_cause: shape (nv,), which limit sets `low`: `POSITION`, `VELOCITY` or `ACCELERATION`.
         high_cause: shape (nv,), which limit sets `high`.
         outside: Largest distance of a joint beyond a position limit [rad or m], 0 if none is outside.
@@ -95,7 +98,7 @@ class Bounds(NamedTuple):
         """Return True if a velocity is within the bounds.
 
         Args:
-            velocity: shape (nv,) [rad/s or m/s].
+            velocity: Joint velocity (nv,) [rad/s or m/s].
         """
         return self.excess(velocity) <= 0.0
 
@@ -108,7 +111,7 @@ class Bounds(NamedTuple):
         return float(np.maximum(velocity - self.high, self.low - velocity).max(initial=-math.inf))
 
     def nearest(self, velocity: Vector) -> Vector:
-        """Return the nearest velocity within the bounds, each joint by itself.
+        """Return a velocity with each joint clipped to its own bounds, shape (nv,) [rad/s or m/s].
 
         Args:
             velocity: shape (nv,) [rad/s or m/s].
@@ -116,14 +119,14 @@ class Bounds(NamedTuple):
         return np.minimum(np.maximum(velocity, self.low), self.high)
 
     def binding(self, velocity: Vector, desired: Vector) -> tuple[int, int]:
-        """Return the joint at a bound whose desired velocity exceeds it most, and the kind of limit.
+        """Return the joint at a bound whose desired velocity exceeds that bound most, and the kind of the limit.
 
         Args:
             velocity: shape (nv,), within the bounds [rad/s or m/s].
             desired: shape (nv,), velocity without the bounds [rad/s or m/s].
 
         Returns:
-            Number of the joint, and POSITION, VELOCITY or ACCELERATION; (-1, -1) if there is no such joint.
+            Index of the joint, and POSITION, VELOCITY or ACCELERATION; (-1, -1) if there is no such joint.
         """
         room = 1e-7 * (1.0 + np.abs(velocity))  # largest distance of a velocity that counts as being at a bound
         above = np.where(velocity >= self.high - room, desired - self.high, 0.0)
@@ -134,14 +137,14 @@ class Bounds(NamedTuple):
         return j, int((self.high_cause if above[j] > FINE else self.low_cause)[j])
 
     def after(self, previous: Vector, change: Vector) -> Bounds:
-        """Return these bounds, narrowed to velocities near the previous one.
+        """Return these bounds, narrowed to the velocities that acceleration limits allow after the previous velocity.
 
-        If no velocity within these bounds is near enough, the change has precedence: a joint that is too fast, or too
-        far, brakes as hard as the change allows.
+        If there is no such velocity within these bounds, the acceleration limits have precedence: a joint that is too
+        fast, or beyond its position limit, brakes as hard as they allow.
 
         Args:
             previous: Velocity of the previous step (nv,) [rad/s or m/s].
-            change: Largest change per joint (nv,) [rad/s or m/s].
+            change: Largest change of the velocity per joint in one step (nv,) [rad/s or m/s].
         """
         slowest, fastest = previous - change, previous + change
         low, high = np.maximum(self.low, slowest), np.minimum(self.high, fastest)
@@ -154,52 +157,65 @@ class Bounds(NamedTuple):
 
 @final
 class Limits:
-    """Position limits with the braking distance, velocity, acceleration and jerk limits.
+    r"""Joint limits: position (with the braking distance), velocity, acceleration and jerk; and limits of the hand.
 
-    The next velocity u of a joint at distance d from its upper position limit, with u' commanded in the previous step:
+    The next velocity :math:`u` of a joint at distance :math:`d` from its upper position limit is bounded by
 
-        u <= min(velocity, brake(d), u' + a dt),    brake(d): the fastest from which the joint stops at the limit
+    .. math::
 
-    and the mirror image below. With deceleration a in steps of dt a joint stops within u^2 / (2 a) + u dt / 2, so that
+        u \le \min(v_\text{max},\ \text{brake}(d),\ u' + a\,dt)
 
-        brake(d) = sqrt(2 a (d - d0) + (a dt / 2)^2) - a dt / 2    for d > d1,    kappa d    for d <= d1,
+    where :math:`u'` is the velocity commanded in the previous step, :math:`a` the acceleration limit, and brake(d) the
+    highest velocity from which the joint can stop at the position limit; the lower limit is treated in the same way.
+    With deceleration :math:`a` in steps of :math:`dt` a joint stops within :math:`u^2 / (2 a) + u\,dt / 2`, so that
 
-    with d0 and d1 such that value and slope are continuous: a joint at its limit is approached exponentially. It is at
-    most d / T, with the time T = max_j |u'_j| / a_j in which all joints can stop: a slow joint that stopped sooner than
-    the fast ones that move with it would take the hand off its path. Bounds of this kind can always be met in the next
-    step (Del Prete, "Joint position and velocity bounds in discrete-time acceleration/torque control of robot
-    manipulators", 2018). Where they cannot, because the motion started too fast or outside, the acceleration limit has
-    precedence. A joint outside returns.
+    .. math::
+
+        \text{brake}(d) = \begin{cases}
+            \sqrt{2 a (d - d_0) + (a\,dt / 2)^2} - a\,dt / 2 & d > d_1 \\
+            \kappa d & d \le d_1
+        \end{cases}
+
+    with :math:`d_0` and :math:`d_1` chosen so that value and slope are continuous: a joint approaches its limit
+    exponentially. brake(d) is also at most :math:`d / T`, where :math:`T = \max_j |u'_j| / a_j` is the time in which
+    all joints can stop: if a slow joint stopped sooner than the fast ones, the hand would leave its path. Such bounds
+    can always be satisfied in the next step (Del Prete, "Joint position and velocity bounds in discrete-time
+    acceleration/torque control of robot manipulators", 2018), unless the motion started too fast or outside the limits:
+    then the acceleration limit has precedence. A joint outside its limits returns.
 
     Args:
         robot: The robot, for its position and velocity limits.
-        velocity: shape (nv,) or a number [rad/s or m/s]; the robot's own by default.
-        acceleration: shape (nv,) or a number [rad/s2 or m/s2]; by default 5 times the velocity limit, so that
-            full speed is reached in 0.2 s, and 10 for a joint without one. inf for none.
-        jerk: shape (nv,) or a number [rad/s3 or m/s3]; None for none. A `ServoLoop` keeps it.
+        velocity: Largest speed of the joints, shape (nv,) or a number [rad/s or m/s]; by default the robot's limits.
+        acceleration: Largest acceleration of the joints, shape (nv,) or a number [rad/s2 or m/s2]; by default 5 times
+            the velocity limit, so that full speed is reached in 0.2 s, and 10 for a joint without a velocity limit. inf
+            for no limit.
+        jerk: Largest jerk of the joints, shape (nv,) or a number [rad/s3 or m/s3]; None for no limit. Only a
+            `ServoLoop` applies it.
         position: False ignores the position limits.
         margin: Distance to keep from the position limits [rad or m].
-        tip_speed: Largest speed of the frames' origins [m/s], e.g. 0.25 near people; None for none. Rows of the same
-            program (see `Barriers`).
-        tip_box: shape (2, 3), lowest and highest x, y, z of the frames' origins in the base frame [m], -inf and inf
-            where there is none; None for no box.
-        tip_walls: shape (w, 4), rows (n, d): the frames' origins p stay where n^T p <= d [m]; None for no walls.
-        frames: Name or names of these frames; by default the robot's likeliest tip.
-        clear_of: Obstacles that the links avoid, rows of the same program: a `Scene`, with the pairs of the robot's own
-            links; or the pairs of a `SelfCollision`. None for none.
-        clearance: Distance that they keep [m]. Pairs that are nearer may part, and come no nearer.
+        tip_speed: Largest speed of the origins of `frames` [m/s], e.g. 0.25 near people; None for no limit.
+        tip_box: shape (2, 3), lowest and highest x, y, z of the origins of `frames` in the base frame [m], -inf and inf
+            for no limit; None for no box.
+        tip_walls: shape (w, 4), one wall per row (n, d): the origins p of `frames` stay where n^T p <= d, with a normal
+            n in the base frame and d in m times the length of n; None for no walls.
+        frames: Name or names of the frames that `tip_speed`, `tip_box` and `tip_walls` limit; by default the robot's
+            likeliest tip.
+        clear_of: Obstacles that the links avoid: a `Scene`, which includes collisions between the robot's own links, or
+            a `SelfCollision` for these alone. None for no collision avoidance.
+        clearance: Distance that links keep from obstacles and from each other [m]. Pairs that are nearer already may
+            move apart, but not nearer.
 
     Attributes:
         barriers: Barriers for frames and links.
-        velocity: shape (nv,) [rad/s or m/s].
-        acceleration: shape (nv,) [rad/s2 or m/s2].
-        jerk: shape (nv,) [rad/s3 or m/s3], or None.
+        velocity: shape (nv,), velocity limits [rad/s or m/s].
+        acceleration: shape (nv,), acceleration limits [rad/s2 or m/s2].
+        jerk: shape (nv,), jerk limits [rad/s3 or m/s3]; None for no limit.
         lower: shape (nv,), lowest positions [rad or m].
-        upper: shape (nv,), highest positions.
+        upper: shape (nv,), highest positions [rad or m].
 
     Raises:
-        ConfigurationError: A limit that is not positive or has the wrong size, or a margin that leaves no room.
-        UnknownNameError: No such frame.
+        ConfigurationError: A limit is not positive or has the wrong size, or the margin exceeds half a joint's range.
+        UnknownNameError: The robot has no such frame.
     """
 
     def __init__(
@@ -249,7 +265,7 @@ class Limits:
         Args:
             q: Posture, already checked.
             dt: Step [s].
-            previous: Velocity that was commanded in the previous step (nv,) [rad/s or m/s]; None bounds no
+            previous: Velocity that was commanded in the previous step (nv,) [rad/s or m/s]; None for no limit of the
                 acceleration.
             share: Share of the acceleration limits with which a joint brakes before its position limits.
         """
@@ -278,15 +294,16 @@ class Limits:
         """Return the time in which all joints can stop, T = max_j |u_j| / a_j [s].
 
         Args:
-            velocity: u, shape (nv,) [rad/s or m/s].
+            velocity: Joint velocity u, shape (nv,) [rad/s or m/s].
         """
         return float((np.abs(velocity) / self.acceleration).max())
 
     def towards(self, wish: Vector, previous: Vector, bounds: Bounds, dt: float) -> Vector:
-        """Return the velocity within bounds that leads to a desired one, scaled down to the velocity limits.
+        """Return the next velocity on the way from the previous to a desired velocity, shape (nv,) [rad/s or m/s].
 
-        It lies on the straight line from `previous`, as far as the acceleration limits go; then each joint is clipped
-        to its own bounds, so that a joint that stops at its position limit stops no other.
+        The desired velocity is first scaled down to the velocity limits. The next velocity is on the straight line from
+        `previous` to it, as far as the acceleration limits allow. Then each joint is clipped to its own bounds, so that
+        a joint that stops at its position limit does not stop the others.
 
         Args:
             wish: Desired velocity (nv,) [rad/s or m/s].
@@ -300,7 +317,7 @@ class Limits:
         return np.clip(previous + change / longest, bounds.low, bounds.high)
 
     def with_rates(self, acceleration: ArrayLike | None, jerk: ArrayLike | None) -> Limits:
-        """Return these limits with other accelerations and jerks.
+        """Return a copy of these limits with other acceleration and jerk limits.
 
         Args:
             acceleration: shape (nv,) or a number [rad/s2 or m/s2]; None keeps the present limits.
@@ -316,18 +333,19 @@ class Limits:
         return other
 
     def with_tip_speed(self, speed: float, frames: Sequence[str]) -> Limits:
-        """Return these limits with a largest speed of more frames.
+        """Return a copy of these limits with a speed limit for further frames.
 
         Args:
-            speed: Of the frames' origins [m/s]; the lower one counts where these limits have one already.
-            frames: Names of further frames; the box and the walls of these limits then hold for all of them.
+            speed: Largest speed of the frames' origins [m/s]; if these limits have a lower `tip_speed`, that one counts
+                for all frames.
+            frames: Names of further frames; the box and the walls of these limits then apply to them, too.
 
         Returns:
             Limits of the same robot.
 
         Raises:
             ConfigurationError: A speed that is not a positive number.
-            UnknownNameError: No such frame.
+            UnknownNameError: The robot has no such frame.
         """
         other, present = copy.copy(self), self.barriers
         names = tuple(dict.fromkeys([*(frame.name for frame in present.frames), *frames]))
@@ -336,13 +354,13 @@ class Limits:
         return other
 
     def may_approach(self, square: float, size: float, smallest: float, dt: float) -> bool:
-        """Return True if a velocity may approach a singularity too fast, so that the exact check is necessary.
+        """Return True if a velocity u may approach a singularity too fast, so that `approach_bound` must be evaluated.
 
-        It is a cheap estimate: |grad sigma| is about as large as A itself.
+        This is a cheap estimate, which assumes that the gradient of the singular value is about as large as A.
 
         Args:
-            square: |u|^2.
-            size: |A|^2.
+            square: Squared norm of the joint velocity u.
+            size: Squared norm of the constraint matrix A.
             smallest: Smallest singular value of A.
             dt: Step [s].
         """
@@ -352,11 +370,14 @@ class Limits:
         )
 
     def freer_sense(self, q: Posture, direction: Vector) -> Vector:
-        """Return a direction, or its opposite where position limits leave more room in that sense.
+        """Return a direction of joint motion, or its negative if the position limits leave more room there.
 
         Args:
             q: Posture.
-            direction: Direction of joint motion (nv,), of any length.
+            direction: Direction (nv,), of any length.
+
+        Returns:
+            `direction` or `-direction`; `direction` also if it has room for 0.1 rad or m.
         """
         x = q if q.shape[0] == self.robot.nv else self.robot.positions(q)
         fastest = float(np.max(np.abs(direction), initial=0.0))
@@ -381,7 +402,7 @@ def per_joint(what: str, values: ArrayLike, names: tuple[str, ...]) -> Vector:
         shape (nv,), not writable.
 
     Raises:
-        ConfigurationError: A number that is not positive, or another number of them.
+        ConfigurationError: A number is not positive, or their number is not nv.
     """
     array = np.asarray(values, dtype=np.float64)
     if array.shape not in ((), (len(names),)):

@@ -35,22 +35,22 @@ Decomposition = tuple[Float[np.ndarray, "s s"], Float[np.ndarray, " k"], Float[n
 
 
 class NullSpacePolicy(ABC):
-    """pi(q, t) of equation (2), u = A^+ b + N pi: a desired joint velocity.
+    r"""Base class of null-space policies: the velocity :math:`\pi(q, t)` of :math:`u = A^+ b + N \pi`, equation (2).
 
-    The controller projects it onto the null space; a policy does not know the projector.
+    A policy returns the joint velocity that it prefers. The controller projects it onto the null space of the task.
     """
 
     @abstractmethod
     def __call__(self, q: ArrayLike, t: float = 0.0) -> Vector:
-        """Return the desired joint velocity [rad/s or m/s] at posture q and time t [s]."""
+        """Return the desired joint velocity (nv,) [rad/s or m/s] at posture q and time t [s]."""
 
     def over_step(self, q: ArrayLike, t: float, dt: float) -> Vector:
         """Return the velocity for a step; by default the velocity at its beginning.
 
         Args:
-            q: Posture.
+            q: Posture at the beginning of the step.
             t: Time at which the step begins [s].
-            dt: Length of the step, for which the velocity is held [s].
+            dt: Length of the step, for which the velocity is applied [s].
 
         Returns:
             shape (nv,) [rad/s or m/s].
@@ -59,19 +59,19 @@ class NullSpacePolicy(ABC):
 
 
 class SampledPolicy(NullSpacePolicy):
-    """A policy that takes the length of its step into account, so that explicit steps can follow it."""
+    """Base class of policies whose velocity depends on the length of the step, so that explicit steps stay stable."""
 
     @abstractmethod
     def __call__(self, q: ArrayLike, t: float = 0.0, dt: float = 0.01) -> Vector:
-        """Return the desired joint velocity [rad/s or m/s] at posture q and time t [s], held for dt [s]."""
+        """Return the desired joint velocity (nv,) [rad/s or m/s] at posture q and time t [s], for a step of dt [s]."""
 
     def over_step(self, q: ArrayLike, t: float, dt: float) -> Vector:
         """Return the velocity for a step.
 
         Args:
-            q: Posture.
+            q: Posture at the beginning of the step.
             t: Time at which the step begins [s].
-            dt: Length of the step, for which the velocity is held [s].
+            dt: Length of the step, for which the velocity is applied [s].
 
         Returns:
             shape (nv,) [rad/s or m/s].
@@ -81,10 +81,10 @@ class SampledPolicy(NullSpacePolicy):
 
 @final
 class ZeroPolicy(NullSpacePolicy):
-    """pi = 0: the plain pseudo-inverse, equation (2) without its second term.
+    r"""Null-space policy :math:`\pi = 0`: the plain pseudo-inverse, equation (2) without its second term.
 
     Args:
-        nv: Number of velocities.
+        nv: Number of joint velocities of the robot.
     """
 
     def __init__(self, nv: int):
@@ -92,7 +92,7 @@ class ZeroPolicy(NullSpacePolicy):
         self._zero.setflags(write=False)
 
     def __call__(self, q: ArrayLike, t: float = 0.0) -> Vector:
-        """Return zeros, shape (nv,)."""
+        """Return zeros, shape (nv,) [rad/s or m/s], whatever the posture and the time."""
         return self._zero
 
     def __repr__(self) -> str:
@@ -107,19 +107,24 @@ def _positive(name: str, value: float) -> float:
 
 @final
 class JointAttractor(NullSpacePolicy):
-    """pi = gain * (rest - q), the point attractor of the paper's comparisons.
+    r"""Null-space policy towards a rest posture, the point attractor of the paper's comparisons.
 
-    Differences are taken on the configuration manifold if the robot is given, so that a continuous joint goes the
-    short way; without it they are plain differences.
+    .. math::
+
+        \pi = \text{gain} \cdot (\psi^* - q)
+
+    with the rest posture :math:`\psi^*`. If the robot is given, differences are taken on its configuration manifold, so
+    that a continuous joint moves by the smaller angle; otherwise they are plain differences.
 
     Args:
-        rest: Rest posture psi*, the same kind of vector as q.
+        rest: Rest posture, joint positions (nv,) [rad or m] or a configuration (nq,), as q. A configuration with
+            nq different from nv needs `robot`.
         gain: Rate [1/s].
         robot: The robot, for differences on its configuration manifold.
 
     Raises:
-        TargetError: Not finite, or not a vector.
-        ConfigurationError: Wrong size for the robot.
+        TargetError: The rest posture is not a vector of finite numbers.
+        ConfigurationError: The rest posture has the wrong size for the robot.
     """
 
     def __init__(self, rest: ArrayLike, gain: float = 1.0, robot: Robot | None = None):
@@ -133,7 +138,7 @@ class JointAttractor(NullSpacePolicy):
         self.robot = robot
 
     def __call__(self, q: ArrayLike, t: float = 0.0) -> Vector:
-        """Return gain * (rest - q) [rad/s or m/s].
+        """Return gain * (rest - q), shape (nv,) [rad/s or m/s]; the time t is not used.
 
         Raises:
             TargetError: q and the rest posture have different sizes.
@@ -149,21 +154,26 @@ class JointAttractor(NullSpacePolicy):
 
 @final
 class JointLimitAvoidance(NullSpacePolicy):
-    """Gradient descent of the joint-limit potential h of `limit_potential`, with a bounded speed.
+    r"""Null-space policy away from the joint limits: gradient descent of the potential h of `limit_potential`.
 
-    With x_j in -1 ... 1 the normalised position of joint j in its range u_j - l_j, h = sum_j 1 / (1 - x_j^2) and
+    Let :math:`x_j` be the position of joint j in its range from :math:`l_j` to :math:`u_j`, normalised to -1 ... 1, and
+    :math:`v_j` its largest speed. Then
 
-        p_j = gain ((u_j - l_j) / 2)^2 dh / dq_j = gain (u_j - l_j) x_j / (1 - x_j^2)^2
-        pi_j = -p_j / sqrt(1 + (p_j / v_j)^2)
+    .. math::
+
+        h &= \sum_j \frac{1}{1 - x_j^2}, \qquad
+        p_j = \text{gain} \left(\frac{u_j - l_j}{2}\right)^2 \frac{\partial h}{\partial q_j}
+            = \text{gain} \, \frac{(u_j - l_j) \, x_j}{(1 - x_j^2)^2} \\
+        \pi_j &= -\frac{p_j}{\sqrt{1 + (p_j / v_j)^2}}
 
     The gradient of h is taken in the coordinates x, so that joints of different ranges and units return to the middle
-    at the same rate, 2 gain. The speed is v_j at a limit and outside; in between it is smooth. Joints that are not
-    limited on both sides are left out.
+    at the same rate, 2 gain. The speed grows smoothly to :math:`v_j` at a limit, and stays there outside. Joints that
+    are not limited on both sides do not move.
 
     Args:
         robot: Robot whose limits are avoided.
         gain: Rate [1/s].
-        max_speed: v_j, the largest speed of a joint [rad/s or m/s], and at most half its range a second.
+        max_speed: Largest speed of a joint [rad/s or m/s]. No joint moves faster than half its range per second either.
 
     Raises:
         ConfigurationError: The gain or the speed is not positive.
@@ -183,7 +193,7 @@ class JointLimitAvoidance(NullSpacePolicy):
         self.numbers = self._strength, self._middle, self._per_half, self._longest  # for the compiled law
 
     def __call__(self, q: ArrayLike, t: float = 0.0) -> Vector:
-        """Return the velocity towards the middle of the ranges [rad/s or m/s].
+        """Return the velocity towards the middle of the joint ranges (nv,) [rad/s or m/s]; the time t is not used.
 
         Raises:
             ConfigurationError: q has the wrong size or is not finite.
@@ -219,12 +229,12 @@ class _Ascent(SampledPolicy):
         """Return the gradient of the measure's logarithm at a posture, from the rows' decomposition and derivative."""
 
     def __call__(self, q: ArrayLike, t: float = 0.0, dt: float = 0.01) -> Vector:
-        """Return the ascent velocity [rad/s or m/s], finite everywhere.
+        """Return the ascent velocity (nv,) [rad/s or m/s], finite everywhere.
 
         Args:
             q: Posture: a configuration or joint positions.
-            t: Time [s]; the policy does not depend on it.
-            dt: Time for which the velocity is held [s].
+            t: Time [s]; not used.
+            dt: Time for which the velocity is applied [s].
 
         Raises:
             ConfigurationError: q has the wrong size or is not finite.
@@ -248,31 +258,43 @@ class _Ascent(SampledPolicy):
 
 @final
 class ManipulabilityAscent(_Ascent):
-    """pi = gain * grad log mu, at most `max_speed`; or gain * grad mu as in equation (13) of Manavalan and Howard.
+    r"""Null-space policy that increases the manipulability mu of a constraint: gradient ascent of log mu.
 
-        d mu / d q_k = mu tr((A A^T)^-1 A (dA / dq_k)^T) = mu A^{+T} : dA / dq_k,    grad log mu = grad mu / mu
+    .. math::
 
-    grad log mu points the same way and does not depend on the units of the constraint, nor on how small mu has become:
-    raw grad mu all but vanishes in SI units where it matters most. It grows as 1 / sigma towards a singularity, where
-    an explicit step would jump from one side to the other; its length is therefore bounded by
+        \pi = \text{gain} \, \nabla \log \mu = \text{gain} \, \frac{\nabla \mu}{\mu}, \qquad
+        \frac{\partial \mu}{\partial q_k}
+            = \mu \, \text{tr}\left((A A^T)^{-1} A \left(\frac{\partial A}{\partial q_k}\right)^T\right)
 
-        max_speed sigma / sqrt(sigma^2 + r^2),    r = dt max_speed |grad log mu| sigma / GROWTH,
+    With `logarithmic=False` it is :math:`\text{gain} \, \nabla \mu`, equation (13) of Manavalan and Howard. The
+    gradient of log mu has the same direction, but does not depend on the units of the constraint. It also stays large
+    where mu is small, near a singularity, where the gradient of mu almost vanishes.
 
-    sigma the smallest singular value of A: continuous, with a slope that a step of dt can follow. It vanishes towards
-    the singularity; at it, `SEED_SPEED` along the steepest ascent of mu is left, and the controller adds the motion
-    that leaves it (see `Law`).
+    Towards a singularity the gradient of log mu grows as :math:`1 / \sigma`, with the smallest singular value
+    :math:`\sigma` of A, so that an explicit step would jump from one side to the other. Its length is therefore at most
+
+    .. math::
+
+        v_\text{max} \, \frac{\sigma}{\sqrt{\sigma^2 + r^2}}, \qquad
+        r = \frac{dt \, v_\text{max} \, |\nabla \log \mu| \, \sigma}{\gamma}
+
+    with :math:`v_\text{max}` = `max_speed` and :math:`\gamma` = `GROWTH`. It is continuous, with a slope that a step of
+    dt can follow. At the singularity itself the velocity is `SEED_SPEED` along the steepest ascent of mu, and the
+    controller adds the motion that leaves it (see `Law`).
 
     If a task also drives rows, the manipulability of both the held and the driven rows matters: the manipulability of
     the held rows alone may rise while the driven direction is being lost. `FreeDirection.ascent` climbs a measure of
     both.
 
     Args:
-        constraint: Constraint whose manipulability is climbed; true or learnt.
-        gain: Rate; for grad log mu [rad^2/s].
-        logarithmic: False for the paper's raw gradient, which is not bounded.
-        max_speed: Largest norm of pi [rad/s]; None for no bound. At a singularity the unbounded gradient has the
-            direction of steepest ascent, also where several directions are lost at once. At 1 rad/s singularities are
-            left more slowly, and a hand is pulled less far off its constraint where a redundant joint meets its limit.
+        constraint: Constraint whose manipulability is climbed.
+        gain: Factor on the gradient; [rad^2/s] for the gradient of log mu.
+        logarithmic: True for the gradient of log mu, with bounded length; False for the gradient of mu as in the paper,
+            without a bound.
+        max_speed: Largest norm of the velocity [rad/s]; None for no bound. At a singularity the unbounded gradient has
+            the direction of steepest ascent, also if several directions are lost at once. With 1 rad/s the arm leaves
+            singularities more slowly, and the hand is pulled less far off its constraint when a redundant joint meets
+            its limit.
 
     Raises:
         ConstraintError: `max_speed` is not positive, or no constraint was given.
@@ -299,7 +321,12 @@ class ManipulabilityAscent(_Ascent):
         self.logarithmic = bool(logarithmic)
 
     def __call__(self, q: ArrayLike, t: float = 0.0, dt: float = 0.01) -> Vector:
-        """Return the ascent velocity [rad/s or m/s], finite everywhere; arguments and errors as for all ascents.
+        """Return the ascent velocity (nv,) [rad/s or m/s], finite everywhere.
+
+        Args:
+            q: Posture: a configuration or joint positions.
+            t: Time [s]; not used.
+            dt: Time for which the velocity is applied [s].
 
         Raises:
             ConfigurationError: q has the wrong size or is not finite.
@@ -318,17 +345,18 @@ class ManipulabilityAscent(_Ascent):
 
 @final
 class RoomAscent(_Ascent):
-    """Ascent of the remaining range of motion: of the rows' singular values, and of the joints' ranges.
+    """Null-space policy that keeps the arm away from singularities and from joint limits at the same time.
 
         m_i = sigma_i / (sigma_i + sigma_0),    m_j = 1 - x_j^2,    M = (sum_i m_i^-2 + sum_j m_j^-2)^(-1/2)
         pi = gain grad log M, at most max_speed as for `ManipulabilityAscent`
 
-    sigma_0 is the singular value at which the requested speed needs the slowest joint's full speed, x_j in -1 ... 1 the
-    normalised position of joint j in its range. M is a smooth minimum: the smallest m counts most. The manipulability
-    alone leads joints to their limits.
+    There is one m_i per singular value sigma_i of the constraint, and one m_j per joint. sigma_0 is the singular value
+    at which the requested speed needs the slowest joint's full speed; x_j is the position of joint j in its range,
+    normalised to -1 ... 1. M is a smooth minimum, in which the smallest m counts most. Ascent of the manipulability
+    alone would lead joints to their limits.
 
     Args:
-        constraint: Rows held and driven.
+        constraint: Constraint with the held and the driven rows.
         speed: Requested speed along the rows [m/s or rad/s].
         gain: Rate [rad^2/s].
         max_speed: Largest norm of pi [rad/s].
@@ -367,22 +395,23 @@ class RoomAscent(_Ascent):
 
 @final
 class KeptOrientation(SampledPolicy):
-    """A policy summed with a pull towards the demonstrated orientation of the hand, where the arm is redundant.
+    """Null-space policy: another policy plus a pull towards the demonstrated orientation of the hand.
 
-    It is for orientations that demonstrators kept by habit. The pull descends theta^2 / (2 rms^2), theta the angle from
-    the demonstrated orientation and rms the deviation of the demonstrations from it: its weight is 1 / rms^2 relative
-    to grad log M of `RoomAscent`, with the same gain. The step is implicit, stable at any weight: with the rotation
-    rows J of the hand, and h = max(3 dt, 0.1 s) gain,
+    It is for orientations that demonstrators kept by habit, so that the task does not constrain them. The pull is
+    gradient descent of theta^2 / (2 rms^2), with the angle theta from the demonstrated orientation and the deviation
+    rms of the demonstrations from it: its weight is 1 / rms^2 relative to grad log M of `RoomAscent`, with the same
+    gain. The step is implicit and therefore stable at any weight: with the rotation rows J of the hand, theta as a
+    rotation vector, and h = max(3 dt, 0.1 s) gain,
 
         pi = (I + h J^T J / rms^2)^-1 (pi_0 + gain J^T theta / rms^2)
 
-    As every null-space motion it gives way first where joints meet their limits.
+    As every null-space motion it is reduced first when joints meet their limits.
 
     Args:
-        policy: pi_0.
-        features: Rows of a frame's twist (`PoseRows`).
-        wanted: Returns the demonstrated orientation of the frame (3, 3), base frame, for the current position on the
-            path.
+        policy: The other policy, pi_0.
+        features: Rows of the hand frame's twist (`PoseRows`).
+        wanted: Function without arguments that returns the demonstrated orientation of the frame in the base frame
+            (3, 3) for the current position on the path.
         rms: RMS deviation of the demonstrations [rad], positive.
         gain: Rate [rad^2/s].
 
@@ -402,7 +431,7 @@ class KeptOrientation(SampledPolicy):
         self.rms, self.gain = _positive("rms", rms), _positive("gain", gain)
 
     def __call__(self, q: ArrayLike, t: float = 0.0, dt: float = 0.01) -> Vector:
-        """Return the velocity of the policy plus the pull towards the demonstrated orientation [rad/s].
+        """Return the velocity of the policy plus the pull towards the demonstrated orientation (nv,) [rad/s or m/s].
 
         Raises:
             ConfigurationError: q has the wrong size or is not finite.
@@ -422,14 +451,18 @@ class KeptOrientation(SampledPolicy):
 
 @final
 class WeightedPolicies(SampledPolicy):
-    """pi = sum_i w_i pi_i: several objectives in one null space, their compromise set by the weights.
+    r"""Weighted sum of null-space policies, a compromise between several objectives in one null space.
+
+    .. math::
+
+        \pi = \sum_i w_i \pi_i
 
     Args:
-        policies: pi_i.
-        weights: w_i >= 0, one a policy; 1 each by default.
+        policies: The policies :math:`\pi_i`.
+        weights: The weights :math:`w_i \ge 0`, one per policy; by default all are 1.
 
     Raises:
-        ConfigurationError: No policies, another number of weights, or a weight that is negative or not finite.
+        ConfigurationError: No policies, a wrong number of weights, or a weight that is negative or not finite.
     """
 
     def __init__(self, policies: Sequence[NullSpacePolicy], weights: Sequence[float] | None = None):
@@ -441,7 +474,7 @@ class WeightedPolicies(SampledPolicy):
             raise ConfigurationError(f"weights must be numbers of at least 0, got {list(self.weights)}")
 
     def __call__(self, q: ArrayLike, t: float = 0.0, dt: float = 0.01) -> Vector:
-        """Return the weighted sum of the policies' velocities [rad/s or m/s].
+        """Return the weighted sum of the policies' velocities (nv,) [rad/s or m/s].
 
         Raises:
             ConfigurationError: q has the wrong size or is not finite.
@@ -459,17 +492,18 @@ class WeightedPolicies(SampledPolicy):
 
 
 def steepest_ascent(decomposition: Decomposition, vjp: Vjp) -> Vector:
-    """Return the unit vector along which lost singular values grow fastest, in the null space if they grow there.
+    """Return the joint direction in which the lost singular values grow fastest, in the null space if they grow there.
 
-    With U_0, V_0 spanning the directions that A has lost, U_0^T A(q + step) V_0 is linear in the step, with matrix M;
-    mu is a cone there, and the leading right singular vector of M its steepest ascent.
+    Let U_0 and V_0 span the directions that A has lost. To first order, U_0^T A(q + step) V_0 is linear in the step;
+    the leading right singular vector of the matrix M of this linear map is the direction of steepest ascent.
 
     Args:
         decomposition: Singular value decomposition of A(q): U (s, s), singular values, V^T (nv, nv).
-        vjp: Derivative of A: weights (s, nv) -> gradient (nv,) of the weighted sum of A's entries.
+        vjp: Derivative of A: function of weights (s, nv) that returns the gradient (nv,) of the weighted sum of A's
+            entries.
 
     Returns:
-        shape (nv,); zeros where the rows depend on each other everywhere.
+        Unit vector, shape (nv,); zeros if the rows depend on each other at all postures.
     """
     U, sigma, Vt = decomposition
     rank = int(np.count_nonzero(sigma > SINGULAR_RATIO * sigma[0]))
@@ -491,13 +525,14 @@ def steepest_ascent(decomposition: Decomposition, vjp: Vjp) -> Vector:
 
 @final
 class PolicyFunction(NullSpacePolicy):
-    """A policy that calls a function, pi(q) or pi(q, t).
+    """Null-space policy that calls a function of yours.
 
     Args:
-        function: Posture, or posture and time [s], to joint velocity, shape (nv,) [rad/s or m/s].
+        function: Function of a posture, or of a posture and a time [s], that returns a joint velocity (nv,) [rad/s or
+            m/s].
 
     Raises:
-        ConfigurationError: A function of other arguments.
+        ConfigurationError: The function takes other arguments.
     """
 
     def __init__(self, function: Callable[..., ArrayLike]):
@@ -513,7 +548,7 @@ class PolicyFunction(NullSpacePolicy):
         self._timed = 2 in fits and (1 not in fits or "t" in takes.parameters)
 
     def __call__(self, q: ArrayLike, t: float = 0.0) -> Vector:
-        """Return the function's answer as an array [rad/s or m/s]."""
+        """Return the velocity that the function returns, as an array (nv,) [rad/s or m/s]."""
         answer = self.function(q, t) if self._timed else self.function(q)
         try:
             return np.asarray(answer, dtype=np.float64)
@@ -525,21 +560,22 @@ class PolicyFunction(NullSpacePolicy):
 
 
 def as_policy(policy: NullSpacePolicy | Callable[..., ArrayLike]) -> NullSpacePolicy:
-    """Return a policy unchanged, and wrap a function as a `PolicyFunction`.
+    """Return a policy unchanged, or a function wrapped as a `PolicyFunction`.
 
     Args:
-        policy: A policy, or a function of q, or of q and t.
+        policy: A policy, or a function of a posture, or of a posture and a time [s].
     """
     return policy if isinstance(policy, NullSpacePolicy) else PolicyFunction(policy)
 
 
 def replace_constraint(policy: NullSpacePolicy, before: Constraint, after: Constraint) -> NullSpacePolicy:
-    """Return a policy with its ascents of one constraint changed to another; other policies are returned unchanged.
+    """Return a copy of a policy that climbs the manipulability of another constraint.
 
     Args:
-        policy: The policy; weighted sums and `KeptOrientation` are searched for ascents.
-        before: Constraint that the ascents climb now.
-        after: Constraint that they will climb.
+        policy: The policy. In a `WeightedPolicies` or a `KeptOrientation`, the policies inside are changed. A policy
+            that does not depend on `before` is returned unchanged.
+        before: Constraint that the policy climbs now.
+        after: Constraint that the copy climbs.
     """
     if isinstance(policy, _Ascent) and policy.constraint is before:
         changed: dict[str, Any] = {"constraint": after}

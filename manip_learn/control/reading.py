@@ -1,4 +1,4 @@
-"""Readings of an arm: checks that they are postures of the arm, and that it can have moved there."""
+"""Checks of an arm's readings: they are postures of the arm, and the arm can have moved there since the last one."""
 
 from __future__ import annotations
 
@@ -23,7 +23,8 @@ class Readings:
 
     Attributes:
         robot: The robot.
-        farthest: shape (nv,), magnitudes that no joint position reaches, whatever turn its encoder counts [rad or m].
+        farthest: Upper bounds of the absolute joint positions, shape (nv,) or one number, see `farthest_positions`
+            [rad or m].
     """
 
     robot: Robot
@@ -32,8 +33,13 @@ class Readings:
     def posture(self, reading: Any) -> Posture | None:
         """Return a reading as a new array, or None if it is not a posture.
 
+        A posture is a vector of nv or nq finite numbers that are smaller than `farthest` in absolute value.
+
         Args:
-            reading: Anything.
+            reading: Value from a driver, of any type.
+
+        Returns:
+            Joint positions (nv,) as they were read, or a normalised configuration (nq,).
         """
         try:
             q = np.asarray(reading)
@@ -47,7 +53,7 @@ class Readings:
             return None
 
     def refusal(self, reading: Any) -> str:
-        """Return why a reading is not a posture, in words.
+        """Return a text that explains why a reading is not a posture.
 
         Args:
             reading: A reading for which `posture` returns None.
@@ -57,12 +63,12 @@ class Readings:
         return f"{words}; {far}" if far else words
 
     def jump(self, before: Posture | None, q: Posture, since: float) -> str:
-        """Return in words a movement that is too fast for the joint; empty if there is none.
+        """Return a text on the joint that moved faster than it can between two readings; empty if none did.
 
         Args:
-            before: Posture of the previous reading; None for none.
-            q: Posture.
-            since: Time between them [s].
+            before: Posture of the previous reading; None if there is none.
+            q: Posture of the newest reading.
+            since: Time between the two readings [s].
         """
         jump = 0.05  # [rad or m] error of a reading that is accepted beyond twice the largest motion of the joint
         if before is None or (away := q - before).dot(away) < jump * jump:

@@ -36,22 +36,24 @@ class Rollout:
 
     Attributes:
         time: shape (T,) [s].
-        q: shape (T, n), postures, the same kind of vector as the start.
+        q: shape (T, n), postures: joint positions [rad or m] or configurations, as the start of the motion.
         u: shape (T, nv), commanded velocities [rad/s or m/s].
-        manipulability: shape (T,), manipulability of the controller's constraint, from the commands.
+        manipulability: shape (T,), manipulability of the controller's constraint.
         status: shape (T,), see `Status`.
-        joint_names: One name per velocity.
+        joint_names: One name per column of `u`.
         task_error: shape (T,), distance to the task's goal along the constrained rows [m or rad]; NaN if the controller
             has no `task_error`.
-        frame: Frame that the constraint holds, whose path a replay draws; empty if its features have no frame.
+        frame: Name of the frame that the constraint refers to, whose path a replay draws; empty if there is none.
         robot: Identity of the robot, with its locked joints; None for a system without a robot.
-        target: Target of the task, as `Task.goal` returns it; None for a task without one.
-        constraint: Constraint of the controller, as `Constraint.to_dict` writes it, without the phases of the
-            demonstrations (`Constraint.from_dict` builds it); None if that is not known or cannot be written.
+        target: Target of the task, as `Task.goal` returns it; None for a task without a target.
+        constraint: Constraint of the controller, as a dictionary from `Constraint.to_dict` without the phases of the
+            demonstrations (`Constraint.from_dict` builds the constraint); None if that is not known or cannot be
+            written.
         following_error: shape (T,), largest distance between commanded and measured joint positions, from the commands
             of a `ServoLoop` [rad or m]; None if it is not known.
-        phases: Name, start and end [s] of the parts that follow each other, e.g. of a plan; empty for a single part.
-        ways: Outcome of each motion along a mechanism, as `WayDone.to_dict` returns it, `begins` on this clock [s].
+        phases: `(name, start [s], end [s])` of the consecutive parts, e.g. of a plan; empty for a single part.
+        ways: Outcome of each motion along a mechanism, as `WayDone.to_dict` returns it; `begins` is on the same clock
+            as `time` [s].
         around: Obstacles that a plan avoided, as `Obstacle.to_dict` returns them, and the smallest distance to each
             [m].
 
@@ -99,12 +101,12 @@ class Rollout:
 
     @property
     def mu(self) -> Float[np.ndarray, " T"]:
-        """The manipulability under its symbol."""
+        """Manipulability of each sample, shape (T,); the same as `manipulability`."""
         return self.manipulability
 
     @property
     def status_counts(self) -> dict[str, int]:
-        """Number of samples with each status."""
+        """Number of samples with each status, by the status as text."""
         return {str(s): self.status.count(s) for s in dict.fromkeys(self.status)}
 
     def __repr__(self) -> str:
@@ -129,7 +131,7 @@ class Rollout:
         ]
 
     def trajectory(self, name: str = "rollout") -> Trajectory:
-        """Return the motion as a demonstration, to learn from it.
+        """Return the motion as a demonstration from which a constraint can be learnt.
 
         Args:
             name: Name of the demonstration.
@@ -137,7 +139,9 @@ class Rollout:
         return Trajectory(self.time, self.q, self.u, self.joint_names, name, exact=True)
 
     def to_frame(self) -> PandasFrame:
-        """Return one row per sample: `time`, joint positions and velocities by name, `mu`, `task_error` and `status`.
+        """Return a pandas data frame with one row per sample.
+
+        Its columns are `time`, joint positions and velocities by name, `mu`, `task_error` and `status`.
 
         Raises:
             RecordingError: Postures that are not joint positions (nq differs from nv) have no column names.
@@ -147,7 +151,7 @@ class Rollout:
         return table.assign(mu=self.mu, task_error=self.task_error, status=list(map(str, self.status)))
 
     def until(self, end: float) -> Rollout:
-        """Return the samples up to a time.
+        """Return the part of the motion up to a time.
 
         Args:
             end: The time [s]; samples at that time are included.
@@ -156,11 +160,13 @@ class Rollout:
         return replace(self, **{name: values[:n] for name, values in self._curves().items()})
 
     def followed_by(self, other: Rollout) -> Rollout:
-        """Return this motion joined with another one of the same robot that begins where it ends, with phases and ways
-        of both.
+        """Return this motion followed by another one of the same robot, which begins where this one ends.
+
+        The result has the `phases`, `ways` and `around` of both motions, and no `following_error`; its other fields are
+        the second motion's.
 
         Args:
-            other: The motion that follows; its times are shifted.
+            other: The second motion; its times are shifted to follow the first.
         """
         shift = float(self.time[-1])
         time, status = np.concatenate([self.time[:-1], other.time + shift]), (*self.status[:-1], *other.status)
@@ -176,9 +182,9 @@ class Rollout:
         return replace(other, time=time, status=status, **joined, following_error=None, **parts)
 
     def violation(self, constraint: Constraint) -> Float[np.ndarray, " T"]:
-        """Return the speed at which each step breaks a constraint with b = 0, in the rows' units per second.
+        """Return the speed with which each step violates a constraint A u = 0, in the rows' units per second.
 
-        It is |A u| with the mean of A(q) at both ends of the step for which u is held; at the last sample A(q).
+        It is the norm of A u, where A is the mean of A(q) at both ends of the step; at the last sample it is A(q).
 
         Args:
             constraint: The constraint.
@@ -191,7 +197,7 @@ class Rollout:
         return np.linalg.norm(np.einsum("tij,tj->ti", A, self.u), axis=1)
 
     def manipulability_of(self, constraint: Constraint) -> Float[np.ndarray, " T"]:
-        """Return mu of another constraint along the same motion, shape (T,).
+        """Return the manipulability of another constraint at each sample of this motion, shape (T,).
 
         Args:
             constraint: The constraint.
@@ -199,17 +205,17 @@ class Rollout:
         return np.array([manipulability(constraint, q) for q in self.q])
 
     def save(self, path: str | Path) -> Path:
-        """Write a file, completely or not at all.
+        """Write the motion to a file. An existing file is replaced only when the new one is complete.
 
         Args:
-            path: Its ending selects the format: `.npz` (NumPy) and `.csv` (text table) are read by `Rollout.load` and
-                `load_demonstrations`, bit for bit; `.mcap` is a bag for ROS 2 (JointState messages).
+            path: The file. Its ending selects the format: `.npz` (NumPy) and `.csv` (text table) can be read by
+                `Rollout.load` and `load_demonstrations` without loss; `.mcap` is a bag for ROS 2 (JointState messages).
 
         Returns:
             The path of the file.
 
         Raises:
-            OutputError: It cannot be written, or has another ending.
+            OutputError: The file cannot be written, or has another ending.
             MissingExtraError: `.mcap` needs the extra `ros`.
         """
         fields = {name: getattr(self, name) for name in _HEADER}
@@ -219,18 +225,18 @@ class Rollout:
 
     @staticmethod
     def load(path: str | Path, robot: Robot | None = None) -> Rollout:
-        """Read a file of `save`.
+        """Read a file that `save` wrote.
 
         Args:
             path: The file.
-            robot: The robot that it will be used with: another one, or other locked joints, are refused. Without it the
-                rollout still has its own: `load_robot(name, locked=rollout.robot.locked)` is that robot.
+            robot: Robot that the rollout must belong to: a file of another robot, or of other locked joints, raises.
+                None accepts any robot; `load_robot(name, locked=rollout.robot.locked)` then loads that robot.
 
         Returns:
             The rollout.
 
         Raises:
-            RecordingError: No such file, another kind of file, or another robot.
+            RecordingError: The file does not exist, was not written by `save`, or belongs to another robot.
 
         Warns:
             UserWarning: The file does not name the robot that it was made with.
@@ -242,17 +248,17 @@ class Rollout:
 
     @staticmethod
     def load_with_notes(path: str | Path, robot: Robot | None = None) -> tuple[Rollout, tuple[str, ...]]:
-        """Read a file as `load` does, but return its warnings, in sentences.
+        """Read a file as `load` does, but return the warnings instead of issuing them.
 
         Args:
             path: The file.
-            robot: As for `load`.
+            robot: Robot that the rollout must belong to; None accepts any robot.
 
         Returns:
-            The rollout and the warnings.
+            The rollout and the warnings, in sentences.
 
         Raises:
-            RecordingError: No such file, another kind of file, or another robot.
+            RecordingError: The file does not exist, was not written by `save`, or belongs to another robot.
         """
         path, motion = Path(path), read_saved(Path(path))
         header = motion.header
@@ -277,7 +283,7 @@ class Rollout:
 
 
 def written_constraint(constraint: Constraint) -> Mapping[str, Any] | None:
-    """Return a constraint as a rollout stores it; None if its features or its provenance cannot be written.
+    """Return a constraint as the dictionary that `Rollout.constraint` stores; None if it cannot be written.
 
     Args:
         constraint: The constraint.

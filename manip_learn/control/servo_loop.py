@@ -1,13 +1,13 @@
-"""The loop that a real-time program calls: rules for each step, and a state that holds all of the loop's memory.
+"""Servo loop for a real-time program: rules for each step, and a state with all of the loop's memory.
 
 ::
 
-    goes on --- no posture, no time, too old, `stop` --> brakes, and is at rest
-       ^ <---------------- the reason is gone ---------------+   |
-       |                                                         |
-       +--- either: blocked --> relaxes --- nothing presses --> at rest, blocked
-       |                                                         |
-       +------ arrived --- goes back to the arm's position <-- `reset`
+    runs --- invalid posture or time, stale reading, `stop` --> brakes, then is at rest
+       ^ <---------------- the reason is gone ----------------------+
+       |
+       +--- blocked (also while it brakes) --> relaxes --- no force left --> at rest, blocked
+       |                                                                        |
+       +--- arrived --- commanded posture returns to the measured one <-- `reset`
 """
 
 from __future__ import annotations
@@ -48,35 +48,38 @@ STANDING = (Status.INVALID_INPUT, Status.STALE, Status.FOLLOWING_ERROR, Status.S
 @final
 @dataclass(eq=False)
 class State:
-    """All of a loop's memory from one period to the next; it is not changed any more once a step has returned it.
+    """Memory of a loop from one period to the next. Each step returns a new state; returned states do not change.
 
     Attributes:
-        following: Servos, and the force on the hand.
-        timing: Time.
+        following: Following error: model of the servos, and the force on the hand.
+        timing: Timing of the readings.
         commanded: Time for which commands have moved the commanded posture since the newest reading [s].
-        average: Average that keeps the jerk limits; None without them.
-        velocity: shape (nv,), of the controller's posture [rad/s or m/s].
-        sent: shape (nv,), of the posture that is sent.
-        reference: Posture of the controller; None before the first reading.
-        position: Posture that is sent: `reference` but for the average.
+        average: Average of the velocities that keeps the jerk limits; None without jerk limits.
+        velocity: shape (nv,), velocity of `reference` [rad/s or m/s].
+        sent: shape (nv,), velocity of `position` [rad/s or m/s].
+        reference: Commanded posture on which the controller runs; None before the first reading.
+        position: Commanded posture that is sent to the arm: `reference`, after averaging if there are jerk limits.
         measured: Newest measured posture; None before the first.
         last: Newest command; None before the first.
         stopped_by: Reason of the last stop, in words; None if there was none.
         is_stopped: True after `ServoLoop.stop`, until `start`.
         lets_go: True while the arm relaxes after it was blocked.
-        slide: Share of the task's direction that the law gives up, 0 to 1.
-        alone: True if it began with the first reading, and no other has been near that.
-        refused: Time for which readings have come that no joint can have moved to [s]; after `stale_after` they count.
-        jumped: Words on the newest of them, and its time [s].
+        slide: Share of the task's direction that the law gives up at limits, 0 to 1.
+        alone: True if the motion began at a measured posture that no second reading has confirmed yet.
+        refused: Time for which readings were refused because no joint can have moved so fast [s]; after `stale_after`
+            they are accepted.
+        jumped: Text on the newest refused reading, and its time [s].
         runs_on: True if the arm continues to move between late calls, as a velocity servo does.
-        way_back: While the posture that is sent returns to the arm's position after a following error: deflection by a
-            weight [rad or m], goal, and share of the acceleration limits, times s.
+        way_back: State of the return of `position` to the arm's position after a following error: deflection by a
+            weight (nv,) [rad or m]; goal, a posture; and speed of the return in units of the acceleration limits [s].
+            None if there is no return.
         relief: Posture to which a relaxing arm moves; None before it is blocked.
-        pressed: Commanded and measured posture when it was blocked, and the largest relaxation.
-        renewed: Number of continued relaxations.
+        pressed: Commanded posture, measured posture, and largest relaxation (nv,) [rad or m] at the time when the arm
+            was blocked.
+        renewed: Number of times that the relaxation was continued.
         rested: Time since the relaxation was last evaluated [s].
-        moved: shape (nv,), velocity at the time of the stop, until the arm turns back.
-        payload: Words on a weight that it seems to carry.
+        moved: shape (nv,), velocity at the time of the stop [rad/s or m/s]; zeros once the arm has turned back.
+        payload: Text on a weight that the arm seems to carry; empty if there is none.
         hangs: True if a weight pulls the arm, and nothing blocks it.
     """
 
@@ -108,7 +111,7 @@ class State:
     hangs: bool = False
 
     def copy(self) -> State:
-        """Return a copy for the next period; its parts are never changed in place."""
+        """Return a copy for the next period; changes of the copy do not affect the original."""
         other = shallow_copy(self)
         other.following = self.following.copy()
         return other
@@ -116,10 +119,10 @@ class State:
 
 @final
 class LoopRules:
-    """Rules by which the next state of a loop follows from the present one and a reading.
+    """Rules that compute the next state of a loop from its present state and a reading.
 
     Args:
-        controller: The controller, within `limits`.
+        controller: The controller; its commands are within `limits`.
         limits: Limits of velocity, acceleration, jerk and position.
         contact: Limits of the forces on the hand.
         dt: Period [s].
@@ -140,7 +143,7 @@ class LoopRules:
         """Return the state of an arm at rest, before its first reading.
 
         Args:
-            before: State of the previous motion, for the period of the calls; None for none.
+            before: State of the previous motion, whose measured period of the calls is kept; None for none.
             posture: Commanded posture; None takes the first measured one.
         """
         rest, average = np.zeros(self.robot.nv), VelocityAverage.at_rest(self.limits, self.dt)
@@ -156,16 +159,16 @@ class LoopRules:
             t: Time at which it was measured [s].
 
         Raises:
-            ManipLearnError: An error of the controller.
+            ManipLearnError: The controller raised it.
         """
         after = state.copy()
         return after, self.advance(after, q, t)
 
     def advance(self, s: State, q: Any, t: Any) -> Command:
-        """Return the command of the next period, and change the state, a copy, into the next one.
+        """Return the command of the next period, and change a state in place.
 
         Args:
-            s: Copy of the present state; it is changed.
+            s: Copy of the present state; it becomes the next state.
             q: Measured posture.
             t: Time at which it was measured [s].
         """
@@ -258,7 +261,7 @@ class LoopRules:
         s.timing = timing._replace(waited=timing.waited - (0.0 if stood else moved))
 
     def clock(self, s: State, time: float) -> float:
-        """Return the time for the controller [s]: without the pauses of a task that waits for the arm.
+        """Return the time to pass to the controller [s]: without the pauses of a task that waits for the arm.
 
         Args:
             s: State.
@@ -301,9 +304,9 @@ class LoopRules:
         """Return a command that brakes along the present motion, as hard as the acceleration limits allow.
 
         Args:
-            s: State; it is changed.
+            s: State; it is changed in place.
             status: Status of the command.
-            held: Time for which the command is held [s]; None for the period.
+            held: Time for which the command is applied [s]; None for the period.
         """
         dt = self.dt if held is None else held
         return self._command_without_law(s, self._braking(s, dt), status, dt)
@@ -436,7 +439,7 @@ def _replace_velocity(command: Command, velocity: np.ndarray) -> Command:
 
 @final
 class ServoLoop:
-    """A controller for a real-time program, which calls it once per period, e.g. at 1 kHz.
+    """Servo loop: runs a controller inside a real-time program, which calls `update` once per period, e.g. at 1 kHz.
 
     In a program::
 
@@ -446,34 +449,35 @@ class ServoLoop:
             robot.send(command.velocity)              # or loop.position, to a position servo
 
     The velocity starts from rest and changes within the acceleration limits, and within the jerk limits if there are
-    any. The controller runs on the commanded posture, which is the integral of the commands; the measured one is
-    compared with it. Encoder noise and latency are therefore not fed back, and a servo that follows late does not make
-    the loop unstable.
+    any. The controller runs on the commanded posture, which is the integral of the commands; the measured posture is
+    only compared with it. Encoder noise and latency are therefore not fed back, and a servo that follows late does not
+    make the loop unstable.
 
-    The arm brakes within the acceleration limits and stays at rest while there is a reason to: input that is no posture
-    or no time (`Status.INVALID_INPUT`), a state that has not been new for `stale_after` (`Status.STALE`), a call of
-    `stop` (`Status.STOPPED`). It starts again by itself when the reason is gone. If the measured posture shows that the
-    arm is blocked (a collision, a jammed drawer, a servo that is off), it brakes without regard to the jerk limits,
+    The arm brakes within the acceleration limits and stays at rest as long as an input is not a valid posture or time
+    (`Status.INVALID_INPUT`), no new reading has come for `stale_after` (`Status.STALE`), or after a call of `stop`
+    (`Status.STOPPED`). When the reason is gone, it starts again by itself. If the measured posture shows that the arm
+    is blocked (a collision, a jammed drawer, a servo that is off), the arm brakes without regard to the jerk limits,
     relaxes by moving slowly to its measured position at the time of the contact, and stays at rest until `reset` is
     called (`Status.FOLLOWING_ERROR`); `stopped_by` names the row of the constraint that was blocked, and its deviation.
 
     Args:
-        controller: A `ResolvedRateController`, or any `(q, t, dt) -> Command`.
+        controller: A `ResolvedRateController`, or any callable `(q, t, dt) -> Command`.
         dt: Period [s].
         acceleration_limit: shape (nv,) or a number [rad/s2 or m/s2]; by default the controller's `Limits` apply.
-        jerk_limit: shape (nv,) or a number [rad/s3 or m/s3]; by default the controller's `Limits` apply, or none.
-            The commands are averaged over 2 max_j(a_j / jerk_j), which delays them by half of that time.
-        stale_after: Time without a new state after which the arm brakes [s].
+        jerk_limit: shape (nv,) or a number [rad/s3 or m/s3]; by default the jerk limits of the controller's `Limits`
+            apply, if any. The commands are averaged over a time of 2 max_j(a_j / jerk_j), with the acceleration limits
+            a_j, and thereby delayed by half of it.
+        stale_after: Time without a new reading after which the arm brakes [s].
         contact: Limits of the forces on the hand, and properties of the servos (`Contact`).
         robot: Robot whose limits count; the controller's own by default.
         limits: Limits of a controller of your own; by default the controller's, or the robot's.
 
     Attributes:
         limits: The limits in force.
-        rules: Rules by which its state follows from the previous one and a reading.
-        acceleration_limit: shape (nv,) [rad/s2 or m/s2], in force.
-        jerk_limit: shape (nv,) [rad/s3 or m/s3], in force, or None.
-        dt: [s].
+        rules: Rules that compute the next state from the present one and a reading.
+        acceleration_limit: Acceleration limits in force, shape (nv,) [rad/s2 or m/s2].
+        jerk_limit: Jerk limits in force, shape (nv,) [rad/s3 or m/s3], or None.
+        dt: Period [s].
 
     Raises:
         ConfigurationError: A setting that is not positive, or a controller without a robot if no `robot` is passed.
@@ -533,14 +537,14 @@ class ServoLoop:
         self.reset()
 
     def reset(self, q: ArrayLike | None = None) -> None:
-        """Stop at once and forget the past, after a following error or before another motion.
+        """Prepare another motion: set the commanded velocity to zero and clear the memory, also of a following error.
 
-        After a following error `position` first goes back to the measured posture within the velocity and acceleration
+        After a following error `position` first returns to the measured posture within the velocity and acceleration
         limits, while the commanded velocity is zero and the status stays `Status.FOLLOWING_ERROR`.
 
         Args:
-            q: Posture to start from, at which the servos hold the arm; None takes the next measured one, with the noise
-                of its encoders.
+            q: Commanded posture to start from, at which the servos hold the arm; None takes the next measured posture,
+                which contains encoder noise.
 
         Raises:
             ConfigurationError: q has the wrong size or is not finite.
@@ -563,9 +567,9 @@ class ServoLoop:
         self._is_stopped = False
 
     def set_task(self, task: Task) -> None:
-        """Set another task, in motion: the velocity changes to the new task's within the acceleration limits.
+        """Set another task, also in motion: the velocity changes to the new task's within the acceleration limits.
 
-        A `ManipulabilityAscent` of the present driven rows climbs the new driven rows from now on.
+        A `ManipulabilityAscent` of the rows that the present task drives climbs the new task's rows from now on.
 
         Args:
             task: The new task.
@@ -577,10 +581,10 @@ class ServoLoop:
         self._exchange(task, None)
 
     def set_target(self, target: ArrayLike) -> None:
-        """Set another target of a `PointAttractor`, in motion, as for `set_task`.
+        """Set another target of a `PointAttractor`, also in motion (see `set_task`).
 
         Args:
-            target: The new target, as for `PointAttractor`.
+            target: The new target, in one of the forms of `PointAttractor.target`.
 
         Raises:
             ConfigurationError: The task is not a `PointAttractor`.
@@ -592,7 +596,7 @@ class ServoLoop:
         self._exchange(PointAttractor(target, task.gain, task.max_speed, driven=task.driven), None)
 
     def set_constraint(self, constraint: Constraint) -> None:
-        """Set another constraint for the same task, in motion, as for `set_task`.
+        """Set another constraint for the same task, also in motion (see `set_task`).
 
         Args:
             constraint: The new constraint, of the same robot.
@@ -621,12 +625,12 @@ class ServoLoop:
 
     @property
     def state(self) -> State:
-        """The loop's memory."""
+        """Memory of the loop (see `State`)."""
         return self._state
 
     @property
     def measured(self) -> Posture | None:
-        """The newest valid measured posture; None before the first."""
+        """Newest valid measured posture; None before the first."""
         return self._state.measured
 
     @property
@@ -636,15 +640,15 @@ class ServoLoop:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Properties of the arm and of the motion, in sentences: the latency, the detectable forces."""
+        """Measured properties of the arm, such as latency and detectable forces, and of the motion, in sentences."""
         return (*self._state.following.notes, *self.rules.controller.notes)
 
     @property
     def position(self) -> Posture | None:
-        """The commanded posture at the end of the period, for a position servo; None before the first state.
+        """Commanded posture at the end of the period, for a position servo; None before the first reading.
 
         From one call to the next it moves by no more than the velocity limits allow in `dt`, or in the time between
-        the calls where that is shorter: after a gap, a position servo continues from its own position.
+        the calls if that is shorter, so that it does not jump after a gap in the calls.
         """
         sent = self._state.position
         return None if sent is None else sent.copy()
@@ -665,7 +669,7 @@ class ServoLoop:
             return self.rules.brake(self._state, Status.INVALID_INPUT)
 
     def step(self, q: ArrayLike, t: float) -> Command:
-        """Return the command of the next period, as `update` does; errors of controller, task and policy are raised.
+        """Return the command of the next period as `update` does, but raise errors of controller, task and policy.
 
         Args:
             q: Measured posture: a configuration or joint positions.
@@ -684,7 +688,9 @@ class ServoLoop:
         return command
 
     def task_error(self, q: ArrayLike, t: float = 0.0) -> float:
-        """Return the distance to the task's goal along the rows [m or rad]; NaN if the controller does not define one.
+        """Return the distance to the task's goal along the constrained rows [m or rad].
+
+        It is NaN if the controller has no `task_error`.
 
         Args:
             q: Posture.

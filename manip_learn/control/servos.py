@@ -19,10 +19,10 @@ ROUNDING = 1e-12  # [rad or m] rounding error of sums of steps
 
 
 def shallow_copy(thing: Any) -> Any:
-    """Return a shallow copy of an object without slots, in a tenth of the time of `copy.copy`.
+    """Return a shallow copy of an object, in a tenth of the time of `copy.copy`.
 
     Args:
-        thing: The object.
+        thing: Object whose class has no `__slots__`.
     """
     other = object.__new__(type(thing))
     other.__dict__ = thing.__dict__.copy()
@@ -42,17 +42,17 @@ def signed_excess(x: np.ndarray, low: np.ndarray | float, high: np.ndarray | flo
 
 @final
 class Servos:
-    """Range of the positions to which the servos may have brought the arm; a distance beyond it is due to a force.
+    """Model of position servos: the range of positions in which the arm can be without an external force.
 
-    A servo of stiffness k whose joint has the dry friction F, and whose gears have the backlash b, brings it to within
+    A servo of stiffness k, with dry friction F in its joint and backlash b in its gears, brings the joint to within
 
-        width = F / k + b / 2    of    c(t - late),
+        width = F / k + b / 2    of    c(t - late)
 
-    c the commanded path, and nowhere else unless something pushes it. The delay is the same for all joints, so that a
-    delayed posture lies on the commanded path. Until the delay is known, any value up to `MAX_LATENCY` is possible. It
-    is then estimated from the first motion as the one with the smallest variance of the remaining distances, which give
-    the width. Before that, the width of a joint is its commanded motion before it was first seen to move, plus 50 %,
-    `hidden` at most.
+    with the commanded path c and the delay `late`; a distance beyond that range is due to a force. The delay is the
+    same for all joints, so that a delayed posture lies on the commanded path. Until the delay is known, any value up to
+    `MAX_LATENCY` is possible. It is estimated from the first motion, as the value with the smallest variance of the
+    remaining distances; these distances also give the width. Before that, the width of a joint is its commanded motion
+    before it was first seen to move, plus 50 %, but at most `hidden`.
 
     Args:
         dt: Period [s].
@@ -61,18 +61,17 @@ class Servos:
 
     Attributes:
         late: Measured delay [s]; None until the first motion has shown it.
-        width: shape (nv,) [rad or m].
+        width: shape (nv,), half the width of the range without a force [rad or m].
         seen: shape (nv,), True for joints that were seen to move.
         friction: shape (nv,), median lag of a joint behind its delayed command [rad or m].
-        variance: shape (nv,), of the encoders [rad2 or m2].
+        variance: shape (nv,), variance of the encoder noise [rad2 or m2].
         at_rest: shape (nv,), distance of the joints from their commanded positions before they moved [rad or m].
         moving: Time for which the commanded posture has moved [s].
-        every: Periods from one new reading to the next, measured in the first motion; 1 if each is new.
-        repeats: True if the newest reading is an old one, because readings come more slowly than they are requested.
-        raw: shape (nv,), distance of the arm from the posture that it seems to follow, by the newest reading [rad or
-            m].
-        most: shape (nv,), largest forward distance without a force [rad or m].
-        newest: shape (nv,), distance beyond the range without a force, by the newest reading [rad or m].
+        every: Number of periods from one new reading to the next, measured in the first motion; 1 if each is new.
+        repeats: True if the newest reading repeats an old one, because readings are requested faster than they come.
+        raw: shape (nv,), distance of the newest reading from the delayed commanded posture [rad or m].
+        most: shape (nv,), upper end of the range without a force [rad or m].
+        newest: shape (nv,), distance of the newest reading beyond the range without a force [rad or m].
         smoothing: Weight of the newest reading in the running mean of the excess.
     """
 
@@ -104,11 +103,10 @@ class Servos:
     def record_step(self, step: Float[np.ndarray, " nv"], time: float) -> bool:
         """Record a step of the commanded posture.
 
-        A call that came early reverses a part of the previous step, which the arm may have made.
-
         Args:
             step: Step of the commanded posture (nv,) [rad or m].
-            time: Duration of the step [s]; negative if a call came early.
+            time: Duration of the step [s]; negative if a call came early, and the step takes back a part of the
+                previous one, which the arm may have made already.
 
         Returns:
             True if a period is complete.
@@ -124,30 +122,30 @@ class Servos:
 
     @property
     def is_slow_period(self) -> bool:
-        """True in the periods in which slow quantities are evaluated, all of them in the same period."""
+        """True in every n-th period, in which the slowly changing quantities are evaluated."""
         return self._period_count % self._slow_stride == 1 % self._slow_stride
 
     def travel(self, periods: int) -> Float[np.ndarray, " nv"]:
-        """Return the motion of the commanded posture in the last periods [rad or m].
+        """Return the displacement of the commanded posture during the last periods, shape (nv,) [rad or m].
 
         Args:
-            periods: Number of periods; at most as many as are stored count.
+            periods: Number of periods; if it exceeds the stored history, the whole history is used.
         """
         return self._sent[0] - self._sent[min(periods, len(self._sent) - 1)]
 
     @property
     def recent_travel(self) -> Float[np.ndarray, " nv"]:
-        """Motion of the commanded posture within the longest possible delay, shape (nv,) [rad or m]."""
+        """Largest displacement of the commanded posture within the longest possible delay, shape (nv,) [rad or m]."""
         return np.abs(self._sent[: self._window[1] + 1] - self._sent[0]).max(axis=0)
 
     def excess(self, distance: Float[np.ndarray, " nv"]) -> Float[np.ndarray, " nv"]:
-        """Return the distance of the arm from the range to which servos may have brought it, a running mean.
+        """Update the model with a reading, and return the arm's distance beyond the range without a force.
 
         Args:
             distance: Distance of the newest reading from the commanded posture (nv,) [rad or m].
 
         Returns:
-            shape (nv,) [rad or m].
+            Running mean of the distance, shape (nv,) [rad or m].
         """
         y = self._sent[0] + distance
         step = y - self._past[0]
@@ -273,11 +271,11 @@ class Servos:
         self._sense, self._margin = np.sign(sum_of_turns) * goes_on, self.width + least
 
     def pace(self) -> tuple[float, bool]:
-        """Return the speed of an arm whose delay has grown.
+        """Return the speed of an arm that falls behind its commands.
 
         Returns:
-            Its speed along the commanded path as a share of the commanded speed, NaN if the arm does not follow that
-            path; and True if no joint moves any more.
+            `(share, stands)`: speed along the commanded path over the commanded speed, NaN if the delay has not grown
+            or the arm does not follow that path; and True if no joint moves any more.
         """
         late, off = self._lag(0)
         later = int(late - (self._at if self.late is None else self._window[1]))
@@ -304,7 +302,7 @@ class Servos:
 
     @property
     def delay(self) -> float:
-        """Delay of the excess [s], including its smoothing."""
+        """Delay with which `excess` responds to a command [s]: delay of the servos plus smoothing."""
         return self._at * self._dt + (1.0 / self.smoothing - 1.0) * self._dt
 
 

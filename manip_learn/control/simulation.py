@@ -1,4 +1,4 @@
-"""Simulation: a controller over time, from one start or many, and a motion along a learnt free direction to its end."""
+"""Simulation of a controller from one start or many, and of a motion along a free direction until it is complete."""
 
 from __future__ import annotations
 
@@ -50,24 +50,25 @@ def simulate(
     progress: Progress | None = None,
     **removed: Any,
 ) -> Rollout | tuple[Rollout, ...]:
-    """Integrate the controller on the configuration manifold, each command held for a step.
+    """Simulate a controller: integrate its commands on the robot's configuration manifold, in steps of dt.
 
     Args:
         robot: The robot; None for a system whose state is a plain vector.
-        controller: A `ResolvedRateController`, or any `(q, t, dt) -> Command`.
-        q0: Start posture; the rollout's postures are the same kind of vector. Or a table of starts, one per row.
+        controller: A `ResolvedRateController`, a `ServoLoop`, or any callable `(q, t, dt) -> Command`.
+        q0: Start posture: joint positions (nv,) [rad or m] or a configuration (nq,); the rollout has the same kind of
+            postures. Or a table of starts, one per row.
         duration: Simulated time [s].
-        dt: Step [s].
-        progress: Called with a title and the completed fraction, 0 to 1.
-        **removed: `method`, an argument until 0.3.
+        dt: Step, for which each command is applied [s].
+        progress: Function that is called with a title and the completed fraction, 0 to 1; None for none.
+        **removed: The former argument `method`, valid until 0.3.
 
     Returns:
-        A `Rollout` of round(duration / dt) + 1 samples, the start included; for a table of starts a tuple of them, one
-        per start.
+        A `Rollout` of round(duration / dt) + 1 samples, including the start; for a table of starts a tuple of rollouts,
+        one per start.
 
     Raises:
-        ConfigurationError: The arguments are in another order; the start has the wrong size or is not finite; a step or
-            duration that is not positive.
+        ConfigurationError: The arguments are in the wrong order; the start has the wrong size or is not finite; the
+            step is not positive or the duration is negative.
         TypeError: An unknown argument.
 
     Example:
@@ -130,12 +131,13 @@ def _rollout(robot: Robot | None, controller: Any, q: Posture, n: int, dt: float
 
 
 def rollout_of(robot: Robot | None, controller: Controller | ServoLoop, samples: Sequence[Sample]) -> Rollout:
-    """Return the rollout of samples, with the description of the controller.
+    """Return samples as a rollout, with the description of their controller.
 
     Args:
-        robot: The robot, or None.
-        controller: Controller of the commands.
-        samples: T samples; without a robot one at least.
+        robot: The robot; None for a system without a robot.
+        controller: Controller that computed the commands.
+        samples: T samples: time [s], posture, command, and distance to the task's goal [m or rad]. At least one if
+            there is no robot.
     """
     time, q, commands, errors = zip(*samples, strict=True) if samples else ((),) * 4
     names = tuple(f"q{i}" for i in range(len(samples[0][2].velocity))) if robot is None else robot.joint_names
@@ -147,13 +149,13 @@ def rollout_of(robot: Robot | None, controller: Controller | ServoLoop, samples:
 
 
 def guided(controller: Controller | ServoLoop) -> dict[str, Any]:
-    """Return the description of a controller for a rollout: its frame, target and constraint, as far as they are known.
+    """Return the frame, target and constraint of a controller, as fields of a `Rollout`.
 
     Args:
-        controller: A controller, or a loop with one.
+        controller: A controller, or a `ServoLoop` with one.
 
     Returns:
-        The fields `frame`, `target` and `constraint` of a `Rollout`; empty for a controller without a law.
+        The fields `frame`, `target` and `constraint`; empty for a joint motion or a controller of your own.
     """
     law = controller.controller if isinstance(controller, ServoLoop) else controller
     if not isinstance(law, LimitedController) or law.law is None:
@@ -167,13 +169,13 @@ class WayDone:
     """Outcome of a motion along a free direction.
 
     Attributes:
-        wanted: The whole distance [m or rad].
-        done: Distance covered [m or rad], with the sign of `wanted` if it went the right way.
-        unit: `"m"` or `"rad"`.
-        begins: Time at which the hand was at the mechanism [s]; None if it never was.
-        seconds: Time from there until the motion was complete [s]; None if it was not.
+        wanted: Requested distance [m or rad], signed.
+        done: Distance covered [m or rad], with the sign of `wanted` if the hand moved in the requested direction.
+        unit: Unit of both distances, `"m"` or `"rad"`.
+        begins: Time at which the hand was at the mechanism and the motion began [s]; None if it did not begin.
+        seconds: Duration from `begins` until the motion was complete [s]; None if it was not completed.
         deviation: Largest deviation of the held rows during the motion [m or rad].
-        least_manipulability: Smallest manipulability of the rows held and driven, during the motion.
+        least_manipulability: Smallest manipulability of held and driven rows together during the motion.
         fastest: Name of the joint that came nearest to its velocity limit, and its speed as a share of that limit.
         stopped_by: Reason for an incomplete motion, in words; None if it was complete.
     """
@@ -190,16 +192,16 @@ class WayDone:
 
     @property
     def is_done(self) -> bool:
-        """True if the whole distance was covered, to a millimetre or 0.2 degrees."""
+        """True if the whole distance was covered, within a tolerance of 1 mm or 0.2 degrees."""
         return self.stopped_by is None
 
     @property
     def strays(self) -> bool:
-        """True if the hand left its constraint by more than the play of the mechanism."""
+        """True if the hand left its constraint by more than 2 mm or 2 mrad, the typical play of a mechanism."""
         return self.deviation > 2e-3  # [m or rad] play of a drawer's rails; 5 mm press with 18 N on a stiff arm
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the outcome as plain data for JSON: lengths in m, angles in degrees."""
+        """Return the outcome as a dictionary for JSON, with lengths in m and angles in degrees."""
         size, unit = (1.0, "m") if self.unit == "m" else (float(np.degrees(1.0)), "deg")
         content = vars(self) | {"wanted": size * self.wanted, "done": size * self.done, "unit": unit}
         name, share = content.pop("fastest")
@@ -207,7 +209,7 @@ class WayDone:
 
 
 def leads_away(handle: Float[np.ndarray, " 3"], way: Float[np.ndarray, " 3"]) -> bool:
-    """Return True if a hand moves away from the robot's base: it pushes a drawer in, for chests face their user.
+    """Return True if a hand moves away from the robot's base, so that it pushes a drawer in rather than pulls it out.
 
     Args:
         handle: Position of the handle in the base frame (3,) [m].
@@ -226,21 +228,22 @@ def simulate_way(
     *,
     progress: Progress | None = None,
 ) -> tuple[Rollout, WayDone]:
-    """Simulate a controller whose task is a `FreeDirection`, until its motion is complete or makes no more progress.
+    """Simulate a controller whose task is a `FreeDirection`, until the motion is complete or makes no more progress.
 
     Args:
         robot: The robot.
-        controller: Its task is the motion.
+        controller: Controller with the `FreeDirection` as its task.
         q0: Start posture.
         dt: Step [s].
         duration: Simulated time [s]; None for as long as the motion needs.
-        progress: As for `simulate`.
+        progress: Function that is called with a title and the completed fraction, 0 to 1; None for none.
 
     Returns:
-        The rollout, cut shortly after the motion was complete or stopped, and the outcome, which is also in its `ways`.
+        The rollout and the outcome. Without `duration` the rollout ends shortly after the motion was complete or
+        stopped. The outcome is also in the rollout's `ways`.
 
     Raises:
-        ConfigurationError: Another task, or an error of `simulate`.
+        ConfigurationError: The task is not a `FreeDirection`, or an error of `simulate`.
     """
     task = controller.task
     if not isinstance(task, FreeDirection):
@@ -299,7 +302,7 @@ def _describe_outcome(task: FreeDirection, rollout: Rollout, places: Float[np.nd
 
 
 def joint_at_limit(robot: Robot, positions: Vector) -> str | None:
-    """Return the first joint at a position limit, in words; None if there is none.
+    """Return a text that names the first joint at a position limit; None if no joint is at a limit.
 
     Args:
         robot: The robot.

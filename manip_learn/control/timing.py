@@ -1,4 +1,4 @@
-"""Time between readings: the time for which a command counts, and the average that limits jerk."""
+"""Timing of readings and commands, and the average of velocities that limits jerk."""
 
 from __future__ import annotations
 
@@ -14,30 +14,30 @@ from manip_learn.errors import ConfigurationError
 
 
 def is_number(value: Any) -> bool:
-    """Return True if a value is a real number; True, text, arrays and durations are not.
+    """Return True if a value is a single int or float of Python or NumPy, but no Boolean.
 
     Args:
-        value: Anything.
+        value: Value of any type.
     """
     kinds = (int, float, np.integer, np.floating)
     return isinstance(value, kinds) and not isinstance(value, bool | np.timedelta64)
 
 
 def time_of(t: Any) -> float:
-    """Return a time stamp as a number, or NaN.
+    """Return a time stamp as a float, or NaN if it is not a valid time.
 
     Args:
-        t: Anything. Booleans, text, arrays and durations are not times.
+        t: Value of any type; an int or float below 1e15 in absolute value is a valid time.
 
     Returns:
-        The time [s].
+        The time [s], or NaN.
     """
     # the spacing of larger floating-point numbers exceeds a period
     return float(t) if is_number(t) and abs(t) < 1e15 else math.nan
 
 
 def in_milliseconds(time: float, seconds: float) -> bool:
-    """Return True if a clock seems to count milliseconds.
+    """Return True if a clock that should count seconds seems to count milliseconds.
 
     Args:
         time: Time that passed on the clock, in its own unit.
@@ -51,18 +51,18 @@ class Timing(NamedTuple):
     """Timing of the readings of one arm so far.
 
     Attributes:
-        dt: Agreed period [s].
-        stale_after: Time without a new reading after which it is stale [s].
-        time: Stamp of the newest reading [s]; -inf before the first.
-        older: Stamp of a reading that was refused for being older than the newest [s]; NaN if there is none.
-        since: Time between the last two readings [s]; 0 if the newest reading was not new.
-        silent: Time since the newest reading, in agreed periods [s].
+        dt: Period for which the loop was made [s].
+        stale_after: Time without a new reading after which the newest one is stale [s].
+        time: Time stamp of the newest reading [s]; -inf before the first.
+        older: Time stamp of a reading that was refused because it is older than the newest [s]; NaN if there is none.
+        since: Time between the last two readings [s]; 0 if the last call brought no newer reading.
+        silent: Time since the newest reading [s], counted as one `dt` per call.
         late: Time by which the newest reading came after the end of the commanded motion [s]; negative if it came
             early, 0 if it came in time.
-        held: Time for which the next command counts [s].
-        waited: Time by which the clock of a task that waits for the arm is behind [s].
-        usual: Period of the calls: the agreed one, or the period of a caller who is regular but slower [s].
-        longest: Longest recent period, where calls are irregular; else `usual` [s].
+        held: Time for which the next command is applied [s].
+        waited: Total time for which the clock of a task that waits for the arm has been stopped [s].
+        usual: Period of the calls [s]: `dt`, or the actual period if the calls are regular but slower.
+        longest: Longest recent period if calls are irregular; otherwise `usual` [s].
         recent: The newest periods, oldest first [s].
         warning: Fault of the caller's period, in words; empty if there is none.
     """
@@ -86,30 +86,33 @@ class Timing(NamedTuple):
         """Return the timing before the first reading.
 
         Args:
-            dt: Agreed period [s].
-            stale_after: Time without a new reading after which it is stale [s].
+            dt: Period for which the loop was made [s].
+            stale_after: Time without a new reading after which the newest one is stale [s].
         """
         return cls(dt, stale_after, held=dt, usual=dt, longest=dt)
 
     def restart(self) -> Timing:
-        """Return the timing before the first reading of another motion; the period of the calls stays known."""
+        """Return the timing before the first reading of another motion; it keeps the measured period of the calls."""
         return self.skip_reading(math.nan)._replace(time=-math.inf, silent=0.0, waited=0.0)
 
     @property
     def is_stale(self) -> bool:
-        """True if the newest reading is too old, or came after too long a gap."""
+        """True if the newest reading is older than `stale_after`, or came after a gap longer than that."""
         return self.since > self.stale_after or self.silent > self.stale_after
 
     @property
     def is_regular(self) -> bool:
-        """True if calls come one usual period apart."""
+        """True if the calls come at regular times, one `usual` period apart."""
         return self.longest == self.usual
 
     def detect_reset(self, time: float) -> Timing:
-        """Return this timing with its clock set back, if two successive readings show that it was.
+        """Return a timing that accepts earlier times, if two successive readings show that the clock was set back.
 
         Args:
-            time: Stamp of a reading [s].
+            time: Time stamp of a reading [s].
+
+        Returns:
+            Timing whose `time` is -inf after a reset; this timing otherwise.
         """
         is_next = time < self.time and self.older < time <= self.older + self.stale_after
         return self._replace(time=-math.inf) if is_next else self
@@ -118,7 +121,7 @@ class Timing(NamedTuple):
         """Return the timing after a period without a usable reading.
 
         Args:
-            older: Stamp of the reading if it is refused for its time, else NaN [s].
+            older: Time stamp of a reading that is refused for its time [s]; NaN if there was none.
         """
         silent = self.silent + self.dt
         return self._replace(older=older, silent=silent, since=0.0, late=0.0, held=self.dt)
@@ -127,8 +130,9 @@ class Timing(NamedTuple):
         """Return the timing after a usable reading.
 
         Args:
-            time: Its stamp, not earlier than the newest [s].
-            stands: True if the arm stood: a task that waits for the arm has then waited all the time.
+            time: Time stamp of the reading, not earlier than the newest [s].
+            stands: True if the arm was commanded to stand still since the last reading: a task that waits for the arm
+                has then waited for all of that time.
             commanded: Time for which commands have moved the commanded posture since the newest reading [s].
         """
         since, dt = time - self.time, self.dt
@@ -166,14 +170,14 @@ class Timing(NamedTuple):
 class VelocityAverage(NamedTuple):
     """Mean of the velocities of the last `time` seconds, which limits jerk.
 
-    Velocities are joined by straight lines, so that with changes of at most a dt in every dt, for any dt, the mean
-    over a time T changes by at most a dt, and its rate by at most 2 a dt / T: a jerk of 2 a / T.
+    The velocities are joined by straight lines and averaged over the time T = `time`. If the acceleration of the
+    velocities is at most `a`, then the acceleration of the mean is at most `a`, too, and its jerk is at most 2 a / T.
 
     Attributes:
-        time: T, a whole number of periods [s].
-        ages: shape (k,), age of each knot, from `time` down to 0 [s].
-        knots: shape (k, nv), velocities there [rad/s or m/s].
-        mean: shape (nv,) [rad/s or m/s].
+        time: Averaging time T, a whole number of periods [s].
+        ages: shape (k,), ages of the stored velocities, from `time` down to 0 [s].
+        knots: shape (k, nv), stored velocities at these ages [rad/s or m/s].
+        mean: shape (nv,), mean velocity [rad/s or m/s].
     """
 
     time: float
@@ -183,7 +187,7 @@ class VelocityAverage(NamedTuple):
 
     @staticmethod
     def at_rest(limits: Limits, dt: float) -> VelocityAverage | None:
-        """Return the average that keeps the jerk limits, from rest; None without such limits.
+        """Return an average at rest, over the time that keeps the jerk limits; None if there are no jerk limits.
 
         Args:
             limits: Limits of the joints.
@@ -201,11 +205,11 @@ class VelocityAverage(NamedTuple):
         return VelocityAverage(time, np.array([time, 0.0]), rest, rest[0]) if time > dt else None
 
     def add(self, velocity: Vector, dt: float) -> VelocityAverage:
-        """Return the average with another velocity.
+        """Return the average after another velocity.
 
         Args:
-            velocity: shape (nv,) [rad/s or m/s].
-            dt: Time in which the velocity is reached [s].
+            velocity: New velocity, shape (nv,) [rad/s or m/s].
+            dt: Time since the previous velocity [s].
         """
         T = self.time
         ages, knots = np.append(self.ages + min(dt, T), 0.0), np.vstack((self.knots, velocity))

@@ -1,1 +1,1 @@
-"""Arms behind the protocol of `run`, and their recording."""
+"""Drivers of arms (LeRobot, MuJoCo), and recording of demonstrations from a driver."""

@@ -1,4 +1,4 @@
-"""A LeRobot robot as the driver of `run`: its motors in degrees or -100 .. 100, our joints in rad."""
+"""Driver of LeRobot robots: converts motor positions in degrees or -100 .. 100 to joint positions in rad."""
 
 from __future__ import annotations
 
@@ -24,15 +24,16 @@ _LOGGER = logging.getLogger("manip_learn")
 @final
 @dataclass(frozen=True)
 class LeRobotMotor:
-    """The joint that a motor moves: joint position = zero + sign * motor position.
+    """Relation of a motor to its joint: joint position = zero + sign * motor position, in rad or m.
 
     Attributes:
         joint: Name of the joint in the robot's description.
-        sign: -1 if the motor turns against the joint.
-        zero: Joint position where the motor reads 0, or 50 if it reads 0 .. 100 [rad or m]. None is 0, or the middle of
-            the joint's limits if these are the span.
-        span: Motion of the joint while the motor reads -100 .. 100, or 0 .. 100 [rad or m]. None is the range of the
-            arm's calibration, or of the joint's limits without one. Degrees need no span.
+        sign: -1 if the motor turns in the negative direction of the joint, otherwise 1.
+        zero: Joint position at which the motor reads 0 (50 for a motor that reads 0 .. 100) [rad or m]. None for 0, or
+            for the middle of the joint's limits if the range between these is the span.
+        span: Joint motion over the whole range of the motor's readings, -100 .. 100 or 0 .. 100 [rad or m]. None for
+            the range of the arm's calibration, or of the joint's limits if there is no calibration. Not used for a
+            motor that reads degrees.
     """
 
     joint: str
@@ -56,30 +57,32 @@ class LeRobotMotor:
 
 @final
 class LeRobotDriver:
-    """The driver of a LeRobot robot, for `run`; LeRobot itself is not imported.
+    """Driver of a LeRobot robot, for `run` and `record`; it does not import LeRobot.
 
     Efforts are read from `"<motor>.torque"`, which CAN arms report in N m; currents and loads are not used. Velocities
-    are read from `"<motor>.vel"` of motors in degrees. Action features `.vel` and `.torque` are set to 0.
+    are read from `"<motor>.vel"` for motors that read degrees. The action features `"<motor>.vel"` and
+    `"<motor>.torque"` are set to 0.
 
     Args:
         arm: A connected LeRobot `Robot`; the driver uses its `observation_features`, `action_features`, `is_connected`,
             `get_observation` and `send_action`.
-        robot: The robot whose joints it moves; locked joints need no motor.
+        robot: Robot description whose joints the arm moves; locked joints need no motor.
         period: Time between two commands [s].
-        motors: Motor -> its joint, or a `LeRobotMotor`. A motor without an entry moves the joint of its name.
-        others: Motors that move no joint, e.g. of a gripper: they keep their first position. A motor that reads 0 to
-            100 closes at 0 and opens at 100, see `gripper`.
-        units: Unit of motor positions. LeRobot knows it for most arms (`bus.motors`, `config.use_degrees`); set it for
-            the others.
+        motors: Mapping from motors to the names of their joints, or to a `LeRobotMotor`. A motor without an entry moves
+            the joint with its own name.
+        others: Motors that do not move a joint, e.g. of a gripper; they keep their first position. If such a motor
+            reads 0 to 100, `gripper` moves it: 0 is closed and 100 is open.
+        units: Unit of motor positions. For most arms LeRobot states it (`bus.motors`, `config.use_degrees`); set it for
+            all others.
 
     Attributes:
         period: Time between two commands [s].
-        joint_names: Joints of the robot.
-        cut: Number of actions that LeRobot has reduced.
+        joint_names: Joints of the robot, in its order.
+        cut: Number of actions that LeRobot has clipped, e.g. to its largest relative target.
 
     Raises:
-        ConfigurationError: The arm is not connected, a motor without a joint, a joint without a motor, or units that
-            are unknown or contradict LeRobot's.
+        ConfigurationError: The arm is not connected, a motor has no joint, a joint has no motor, or the units are
+            unknown or contradict LeRobot's.
     """
 
     def __init__(
@@ -142,7 +145,9 @@ class LeRobotDriver:
         return assigned
 
     def read(self) -> tuple[Float[np.ndarray, " nv"], Float[np.ndarray, " nv"] | None, Float[np.ndarray, " nv"] | None]:
-        """Return the joint positions [rad or m], and velocities [rad/s] and efforts [N m] if the arm measures them.
+        """Return the joint positions (nv,) [rad or m], velocities (nv,) [rad/s] and efforts (nv,) [N m].
+
+        Velocities and efforts are None if the arm does not measure them.
 
         Raises:
             ConfigurationError: A position is missing or not a finite number.
@@ -176,14 +181,14 @@ class LeRobotDriver:
         return np.multiply(factors, values) if all(map(math.isfinite, values)) else None
 
     def command(self, q: Float[np.ndarray, " nv"], u: Float[np.ndarray, " nv"]) -> None:
-        """Send joint positions; nothing is sent if one is outside the calibration or the limits.
+        """Send joint positions to the motors.
 
         Args:
-            q: Joint positions [rad or m].
+            q: Joint positions (nv,) [rad or m].
             u: Joint velocities; not used.
 
         Raises:
-            ConfigurationError: A position is outside.
+            ConfigurationError: A position is outside the calibration or the limits; nothing is sent.
         """
         goals = {scale.motor: scale.motor_position(position) for scale, position in zip(self._scales, q, strict=True)}
         if self._others and not self._held:
@@ -191,7 +196,7 @@ class LeRobotDriver:
         self._send(goals | self._held)
 
     def gripper(self, word: Literal["close", "open"]) -> None:
-        """Close or open the grippers among the other motors, from the next command on: 0 is closed, 100 is open.
+        """Close or open the grippers among `others` with the next command: motors that read 0 (closed) to 100 (open).
 
         Args:
             word: `"close"` or `"open"`.
@@ -214,7 +219,7 @@ class LeRobotDriver:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """A sentence on reduced actions; empty if LeRobot has sent everything in full."""
+        """One sentence on the actions that LeRobot has clipped; empty if it has clipped none."""
         if not self.cut:
             return ()
         most, motor = self._largest_cut
@@ -228,15 +233,15 @@ class LeRobotDriver:
         """Switch off the torque of the joints' motors, so that a person can guide the arm. Support the arm: it falls.
 
         Raises:
-            ConfigurationError: LeRobot cannot do that with this arm.
+            ConfigurationError: LeRobot cannot switch off the torque of this arm.
         """
         self._torque("disable_torque", "guide it with its teleoperator (lerobot-teleoperate) instead")
 
     def hold(self) -> None:
-        """Hold the arm at its present position: send goals first, then torque, so that it does not go to an old goal.
+        """Hold the arm at its present position. The goals are set before the torque, so that it does not move.
 
         Raises:
-            ConfigurationError: LeRobot cannot do that with this arm.
+            ConfigurationError: LeRobot cannot switch on the torque of this arm.
         """
         _, positions = self._observe()
         self._send(positions | self._held)
@@ -287,13 +292,13 @@ class _Scale:
         return self.zero + self.per_unit * (value - self.centre)
 
     def motor_position(self, position: float) -> float:
-        """Return the motor position of a joint position, within the bounds.
+        """Return the motor position, in the motor's unit, that belongs to a joint position.
 
         Args:
             position: Joint position [rad or m].
 
         Raises:
-            ConfigurationError: It is outside the bounds.
+            ConfigurationError: The motor position is outside its bounds.
         """
         rounding = 1e-6 / abs(self.per_unit)  # [rad or m] / unit: tolerance at the limits, for round-trip conversion
         value = self.centre + (float(position) - self.zero) / self.per_unit

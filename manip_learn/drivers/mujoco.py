@@ -1,4 +1,4 @@
-"""An arm in MuJoCo's physics as the driver of `run` and of `record`."""
+"""Driver of an arm in a MuJoCo simulation, for `run` and `record`."""
 
 # pyright: reportAttributeAccessIssue=false
 # (the compiled parts of MuJoCo have no complete stubs)
@@ -22,42 +22,44 @@ _FORMER = {"play": "backlash", "delay": "latency", "step": "encoder_resolution"}
 
 @final
 class MuJoCoDriver:
-    """Joints of a MuJoCo model with position servos, as a `Driver`; its clock is the clock of the simulation.
+    """Driver of an arm in a MuJoCo simulation, with position servos; its time is the simulation's.
 
     Each joint has a spring to the commanded position, critically damped against the commanded velocity, and the drives
-    carry the arm's weight, friction and inertia. Actuators that the model has on these joints are switched off; joints
-    whose rotors are too light for the servo at this time step get as much inertia as it needs (0.07 kg m^2 for 2,000
-    N m/rad at 2 ms, a common drive's inertia). After `release` the joints are free except for friction, and `hand` may
-    push them; `hold` makes the servos hold the arm at its present position.
+    compensate for the arm's weight, friction and inertia. Actuators that the model has on these joints are switched
+    off. If the rotor inertia of a joint is too small for the servo at the model's time step, it is increased (0.07 kg
+    m^2 for 2,000 N m/rad at 2 ms, as a common drive has). After `release` the joints move freely except for friction,
+    and the forces of `hand` can guide them; after `hold` the servos hold the arm at its present position.
 
     By default the servos are ideal. `friction`, `backlash`, `latency`, `encoder_resolution`, `noise` and
     `feedforward=False` make them like the servos of real arms.
 
     Args:
-        model: A `mujoco.MjModel`; the driver keeps it and changes it.
-        joint_names: Joints of the arm, by their names in the model.
-        q: shape (n,), first positions [rad or m].
+        model: A `mujoco.MjModel`; the driver changes it in place.
+        joint_names: Names of the arm's n joints in the model.
+        q: shape (n,), initial joint positions [rad or m].
         period: Time between two commands [s]; None for one time step of the model.
         stiffness: shape (n,) or a number, stiffness of the servos [N m/rad or N/m].
-        friction: shape (n,) or a number: dry friction in addition to the model's own, unknown to the drives [N m or N].
-        backlash: shape (n,) or a number: free motion of a joint without its motor, which meanwhile only carries the
-            weight [rad or m].
-        latency: Time from a command to the reading that shows it, a multiple of the period; half in each direction [s].
-        encoder_resolution: shape (n,) or a number, step of the encoders [rad or m].
+        friction: shape (n,) or a number, dry friction that the drives do not compensate, in addition to the model's own
+            [N m or N].
+        backlash: shape (n,) or a number, free motion of a joint relative to its motor, during which the motor only
+            carries the weight [rad or m].
+        latency: Time from a command to the reading that shows it, a multiple of the period; half of it before the
+            servos, half before the reading [s].
+        encoder_resolution: shape (n,) or a number, resolution of the encoders [rad or m]; 0 for no quantisation.
         feedforward: True for drives that compensate inertia, dampers and the model's own friction.
-        hand: Called before each step of the physics with model and data: other forces on the arm, e.g. a person's hand
-            that adds to `data.qfrc_applied`.
-        noise: Standard deviation of the encoders [rad or m].
-        rng: Source of that noise; None for no noise.
+        hand: Function that is called with model and data before each simulation step, to apply forces, e.g. of a
+            person's hand, by adding to `data.qfrc_applied`; None for none.
+        noise: Standard deviation of the encoder noise [rad or m].
+        rng: Random generator of the noise; None for no noise.
         **renamed: Former names of arguments, valid until 0.4: `play`, `delay`, `step`.
 
     Attributes:
         model: The model.
-        data: Its state, `mujoco.MjData`.
+        data: State of the simulation, `mujoco.MjData`.
 
     Raises:
-        ConfigurationError: A joint that the model lacks, or that is not a hinge or a slide, a period that is not a
-            multiple of the time step, or a latency that is not a multiple of the period.
+        ConfigurationError: The model lacks a joint, a joint is not a hinge or a slide, the period is not a multiple of
+            the time step, or the latency is not a multiple of the period.
         MissingExtraError: MuJoCo is not installed.
     """
 
@@ -123,7 +125,12 @@ class MuJoCoDriver:
         self._seen = deque([self._state() for _ in range(back + 1)], back + 1)
 
     def read(self) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
-        """Return the joint positions, with encoder noise, the velocities, and the efforts of the servos."""
+        """Return the measured state of the joints.
+
+        Returns:
+            Joint positions with encoder noise (n,) [rad or m], velocities (n,) [rad/s or m/s], and efforts of the
+            servos (n,) [N m or N].
+        """
         return self._seen[0]
 
     def _state(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -136,10 +143,10 @@ class MuJoCoDriver:
         return q, self.data.qvel[self._u].copy(), self._effort.copy()
 
     def command(self, q: Float[np.ndarray, " n"], u: Float[np.ndarray, " n"]) -> None:
-        """Send the servos to positions, and let one period pass.
+        """Send joint positions to the servos, and simulate one period.
 
         Args:
-            q: Joint positions [rad or m].
+            q: Joint positions (n,) to reach at the end of the period [rad or m].
             u: Joint velocities; not used.
         """
         self._sent.append(np.array(q, dtype=np.float64))
@@ -153,22 +160,22 @@ class MuJoCoDriver:
 
     @property
     def goal(self) -> Float[np.ndarray, " n"]:
-        """The latest goal of the servos [rad or m]."""
+        """Present goal of the servos, joint positions (n,) [rad or m]."""
         return self._goal.copy()
 
     def wait(self) -> None:
-        """Let one period pass without a command: the servos hold, or the arm is guided."""
+        """Simulate one period without a command: the servos hold, or the arm can be guided after `release`."""
         self._reset_goal(self._goal)
         for _ in range(self._steps):
             self._step(self._goal, self._rate)
         self._seen.append(self._state())
 
     def release(self) -> None:
-        """Let the joints move freely, so that a hand can guide the arm."""
+        """Let the joints move freely, so that `hand` can guide the arm; the drives only carry its weight."""
         self._holds = False
 
     def hold(self) -> None:
-        """Hold the arm at its present position."""
+        """Switch the servos on to hold the arm at its present position."""
         self._holds = True
         self._reset_goal(self.data.qpos[self._q].copy())
 

@@ -1,4 +1,4 @@
-"""Recording of an arm that a person guides: samples go to the disk at once, a file for each motion."""
+"""Recording of an arm that a person guides by hand: one file per motion, written while the arm moves."""
 
 from __future__ import annotations
 
@@ -42,14 +42,14 @@ class RecordedFiles:
     """Outcome of `record`.
 
     Attributes:
-        files: One per motion, in order.
+        files: Recorded files, one per motion, in order.
         samples: Total number of samples.
         lost: Number of periods without a sample during a motion.
         longest_gap: Longest time between two samples of a motion [s].
-        ended: Reason for the end, a sentence.
-        ordered: True if it ended as intended.
+        ended: Reason why recording ended, a sentence.
+        ordered: True if recording ended as intended.
         notes: Further remarks, in sentences.
-        joint_names: Joints of the files' columns.
+        joint_names: Names of the joints in the files.
     """
 
     files: tuple[Path, ...]
@@ -63,7 +63,7 @@ class RecordedFiles:
 
     @property
     def sentence(self) -> str:
-        """The amount of recorded and lost samples in a sentence."""
+        """Sentence with the numbers of recorded and lost samples."""
         gap = f", {1e3 * self.longest_gap:.3g} ms at most between two" if self.files else ""
         lost = counted(self.lost, "sample") if self.lost else "none"
         return (
@@ -88,34 +88,37 @@ def record(
     began: Began | None = None,
     clock: Clock | None = None,
 ) -> RecordedFiles:
-    """Record motions of an arm that is guided by hand, a CSV file each: `NAME_01.csv`, `NAME_02.csv`, ...
+    """Record motions of an arm that is guided by hand, one CSV file per motion: `NAME_01.csv`, `NAME_02.csv`, ...
 
-    The arm is released first, if the driver can do that, and held at its position at the end, however recording ends.
-    By motion, a file begins half a second before a joint moves, and ends when the arm has rested for 1.5 s. No file is
-    overwritten: numbers continue in a folder that has some. Samples are written at once: a killed program loses 0.02 s
-    of them, and a full disk only the sample that did not fit. `load_demonstrations` reads the files. Ctrl-C, SIGTERM
-    and SIGHUP end a recording in order; the last two then end the program as they end `run`.
+    At the start the arm is released if the driver has `release`; at the end it is held at its position, also after an
+    error. With `by="motion"` a file begins half a second before a joint moves, and ends when the arm has rested for
+    1.5 s. No file is overwritten: the numbers continue after those of existing files. Samples are written immediately:
+    a killed program loses 0.02 s of samples, and a full disk only the sample that did not fit. `load_demonstrations`
+    reads the files. Ctrl-C, SIGTERM and SIGHUP end a recording properly; SIGTERM and SIGHUP then end the program as
+    they do in `run`.
 
     Args:
-        driver: The arm; until `release` it is held at its last commanded posture. A simulated one needs `wait()`, in
-            which a period passes.
-        out: Folder; created if it is missing.
+        driver: Driver of the arm, see `Driver`, which holds its last commanded posture until `release`. A simulated
+            driver needs `wait()`, which lets a period pass.
+        out: Folder of the files; it is created if it does not exist.
         name: Beginning of the file names.
-        by: `"motion"`: a file begins with motion and ends with rest; `"key"`: the key begins and ends it.
+        by: `"motion"`: a file begins when the arm moves and ends when it rests; `"key"`: `key` begins and ends it.
         motions: Number of files after which recording ends; None for no limit.
-        duration: Time after which it ends [s]; None for no limit. Ctrl-C ends it in any case.
-        release: True to call the driver's `release`.
-        key: Called in each period: returns `"start or stop"`, `"end"` or an empty text.
-        shown: Called with each sample: joint positions by name [rad or m], and True if they are recorded.
-        began: Called with the file that begins, and with None when it ends.
-        clock: As for `run`.
+        duration: Time after which recording ends [s]; None for no limit. Ctrl-C ends it in any case.
+        release: True to call the driver's `release`; False leaves the arm as it is.
+        key: Function that is called in each period, and returns `"start or stop"` to begin or end a file, `"end"` to
+            end recording, or an empty text.
+        shown: Function that is called with each sample: joint positions by name [rad or m], and True if they are
+            recorded.
+        began: Function that is called with the path of a file when it begins, and with None when it ends.
+        clock: Source of the time, see `run`.
 
     Returns:
-        The files, and the number of lost samples.
+        The files, the number of lost samples, and the reason for the end.
 
     Raises:
-        ConfigurationError: Neither the driver nor its readings name the joints; or a simulated driver without `wait`.
-        OutputError: The folder cannot be created or written to, or the name leads out of it.
+        ConfigurationError: Neither the driver nor its readings name the joints; or a simulated driver has no `wait`.
+        OutputError: The folder cannot be created or written to, or `name` leads to another folder.
     """
     folder = Path(out).expanduser()
     if name in ("", "..") or Path(name).name != name or "\0" in name:
@@ -153,7 +156,7 @@ class _Sample(NamedTuple):
     effort: Float[np.ndarray, " n"] | None
 
     def is_near(self, later: _Sample) -> bool:
-        """Return True if an arm can move from here to a later sample.
+        """Return True if an arm can move from this sample to a later one in the time between them.
 
         Args:
             later: The later sample.
@@ -184,7 +187,7 @@ class _Session:
         self._notes: list[str] = []
 
     def release_arm(self, wanted: bool) -> None:
-        """Let a person guide the arm, if the driver can do that.
+        """Call the driver's `release`, if it has one, so that a person can guide the arm.
 
         Args:
             wanted: False to leave the arm as it is.
@@ -199,11 +202,11 @@ class _Session:
         """Run until there is a reason to end.
 
         Args:
-            duration: Time after which it ends [s].
-            pace: Gives the time of each period.
-            key: As for `record`.
-            shown: As for `record`.
-            began: As for `record`.
+            duration: Time after which recording ends [s].
+            pace: Timing of the periods.
+            key: See `record`.
+            shown: See `record`.
+            began: See `record`.
         """
         self._shown, self._began, ending, heard = shown, began, self._ending, 0.0
         silent = 1.0  # [s] without a posture after which recording ends
@@ -299,7 +302,7 @@ class _Session:
         self._samples, self._written = self._samples + 1, sample.time
 
     def finish(self) -> None:
-        """Complete the file."""
+        """Complete the present file, if there is one."""
         if (file := self._file) is None:
             return
         file.close()

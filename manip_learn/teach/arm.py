@@ -1,4 +1,4 @@
-"""An arm in a teaching scene that a person's hand pulls: the driver of `record` and `run`, in real time."""
+"""Driver for `record` and `run`, in real time, of a simulated arm in a teaching scene that a person's hand pulls."""
 
 # pyright: reportAttributeAccessIssue=false
 # (the compiled parts of MuJoCo have no complete stubs)
@@ -22,14 +22,15 @@ STRONGEST = 60.0  # [N] force that a standing person can sustain
 
 @final
 class Pull(NamedTuple):
-    """A point of the arm that a person holds, and the target of the hand.
+    """Pull of a person's hand at a point of the arm towards a target.
 
     Attributes:
-        body: Number of the MuJoCo body.
-        at: shape (3,), the held point, in the frame of that body [m].
+        body: Index of the MuJoCo body that the hand pulls.
+        at: shape (3,), the pulled point, in the frame of that body [m].
         to: shape (3,), target of that point, in the base frame [m].
-        turn: shape (3,), rotation vector of the wanted rotation of the body since the hand took it [rad], or None.
-        heard: Time of the last message about it [s].
+        turn: shape (3,), rotation vector of the requested rotation of the body since the pull began [rad]; None for no
+            moment.
+        heard: Time of the last message on this pull [s].
     """
 
     body: int
@@ -39,7 +40,7 @@ class Pull(NamedTuple):
     heard: float
 
     def held_at(self, data: Any) -> tuple[np.ndarray, np.ndarray]:
-        """Return the present position of that point in the base frame [m], and the rotation of the body.
+        """Return the present position of the pulled point in the base frame (3,) [m], and the body's rotation (3, 3).
 
         Args:
             data: State of the physics, `mujoco.MjData`.
@@ -65,10 +66,10 @@ class _Hand:
         self.force, self.limited, self.at = np.zeros(3), False, np.zeros(3)
 
     def take(self, pull: Pull | None, data: Any) -> None:
-        """Pull to a target from now on.
+        """Start or change a pull.
 
         Args:
-            pull: The point and its target; None lets go.
+            pull: The pulled point and its target; None ends the pull.
             data: State of the physics, `mujoco.MjData`.
         """
         if pull is None:
@@ -100,20 +101,20 @@ class _Hand:
 
 @final
 class TeachingArm:
-    """A driver in real time: it waits for each period of physics, and shows it.
+    """Driver of the simulated arm in a teaching scene, in real time.
 
     Args:
         scene: The scene.
-        rng: Source of the encoders' noise.
+        rng: Random generator of the encoder noise.
         in_real_time: False to run without waiting, e.g. in tests.
-        shown: Called after each period.
+        shown: Function without arguments that is called after each period.
 
     Attributes:
         scene: The scene.
-        hand: The person's hand.
+        hand: Forces of the person's hand.
         period: Time between two readings [s].
-        joint_names: Joints in the robot's order.
-        held: True while the gripper holds the handle.
+        joint_names: Names of the joints in the robot's order.
+        held: True while the gripper is closed on the handle.
     """
 
     simulated = True
@@ -146,28 +147,29 @@ class TeachingArm:
         """Read the encoders and the drives.
 
         Returns:
-            Joint positions with encoder noise [rad or m], no velocities, and efforts of the drives [N m or N].
+            Joint positions with encoder noise (n,) [rad or m], None for velocities, and efforts of the drives (n,)
+            [N m or N].
         """
         q, _, effort = self._arm.read()
         return q, None, effort
 
     def command(self, q: Float[np.ndarray, " n"], u: Float[np.ndarray, " n"]) -> None:
-        """Send the servos to positions, and let one period pass.
+        """Send joint positions to the servos, and simulate one period.
 
         Args:
-            q: Joint positions [rad or m].
+            q: Joint positions (n,) [rad or m].
             u: Joint velocities; not used.
         """
         self._arm.command(q, u)
         self._pass()
 
     def wait(self) -> None:
-        """Let one period pass without a command."""
+        """Simulate one period without a command."""
         self._arm.wait()
         self._pass()
 
     def gripper(self, word: Literal["close", "open"]) -> None:
-        """Close or open the gripper, at the command of a motion.
+        """Close or open the gripper, as `run` calls it for a controller's motion.
 
         Args:
             word: `"close"` or `"open"`.
@@ -195,27 +197,27 @@ class TeachingArm:
 
     @property
     def time(self) -> float:
-        """Time of the physics [s]."""
+        """Simulated time [s]."""
         return float(self.data.time)
 
     @property
     def q(self) -> Float[np.ndarray, " nv"]:
-        """True joint positions [rad or m]."""
+        """Joint positions of the simulation, without encoder noise (nv,) [rad or m]."""
         return self.data.qpos[self._arm._q].copy()
 
     @property
     def q_held(self) -> Float[np.ndarray, " nv"]:
-        """Goal of the servos [rad or m]."""
+        """Goal of the servos, joint positions (nv,) [rad or m]."""
         return self._arm.goal
 
     @property
     def place(self) -> Float[np.ndarray, " 3"]:
-        """Position of the tip in the base frame [m]."""
+        """Position of the tip in the base frame (3,) [m]."""
         return self.data.site_xpos[self._tip].copy()
 
     @property
     def handle_place(self) -> Float[np.ndarray, " 3"]:
-        """Position of the handle in the base frame [m]."""
+        """Position of the handle in the base frame (3,) [m]."""
         return self.data.xpos[self._handle.id].copy()
 
     @property
@@ -231,13 +233,13 @@ class TeachingArm:
     def pull(
         self, link: str | None, at: Any, to: Float[np.ndarray, " 3"], turn: Float[np.ndarray, " 3"] | None = None
     ) -> None:
-        """Take a link of the arm, or the tip, and pull it.
+        """Pull a link of the arm, or the tip, towards a target.
 
         Args:
-            link: Name of the joint whose link is held; None for the tip.
-            at: shape (3,), the held point of the link, in its joint's frame [m]; None for the tip.
+            link: Name of the joint whose link is pulled; None for the tip.
+            at: shape (3,), the pulled point of the link, in its joint's frame [m]; None for the tip.
             to: shape (3,), target of that point in the base frame [m].
-            turn: shape (3,), rotation vector by which the hand turns it [rad], or None.
+            turn: shape (3,), rotation vector by which the hand turns the link [rad]; None for no rotation.
         """
         if link is None:
             body, at = int(self.model.site_bodyid[self._tip]), self.model.site_pos[self._tip].copy()
@@ -246,7 +248,7 @@ class TeachingArm:
         self.hand.take(Pull(body, at, to, turn, time.perf_counter()), self.data)
 
     def let_go(self) -> None:
-        """Let go of the arm; the gripper stays as it is."""
+        """End the pull of the hand; the gripper does not change."""
         self.hand.take(None, self.data)
         self._opened = self._opened and self.is_near
 
@@ -254,10 +256,10 @@ class TeachingArm:
         """Close the gripper on a handle within reach, or open it.
 
         Args:
-            closed: True to close it.
+            closed: True to close the gripper, False to open it.
 
         Returns:
-            True if it holds a handle now.
+            True if the gripper is closed on a handle now.
         """
         if closed and not self.held and self.is_near:
             if self.scene.handle.firm:  # align its site with the hand, so that closing turns neither
@@ -276,16 +278,16 @@ class TeachingArm:
     def close_when_near(self) -> bool:
         """Close the gripper if the hand has come to a handle.
 
-        After opening at the handle it stays open until the person has let go of the arm elsewhere, or records again:
-        the hand passes the handle again after it has pushed a drawer shut.
+        A gripper that was opened at the handle stays open until the person has let go of the arm elsewhere, or starts
+        another recording, because the hand passes the handle again after it has pushed a drawer shut.
 
         Returns:
-            True if it has closed on a handle now.
+            True if the gripper has closed on a handle in this call.
         """
         return not self.held and self.is_near and not self._opened and self.grip(True)
 
     def shut(self) -> None:
-        """Open the gripper, and return the furniture to its first position."""
+        """Open the gripper, and move the furniture back to its initial position."""
         self.grip(False)
         self._opened = False
         joints = self._handle.jntadr[0] + np.arange(self._handle.jntnum[0])

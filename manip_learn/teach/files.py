@@ -1,4 +1,4 @@
-"""Files to take home: the constraint, the recordings, the replay as one file, and a script of the same steps."""
+"""Export of a teaching session: the constraint, the recordings, the replay, and a script with the same steps."""
 
 from __future__ import annotations
 
@@ -65,23 +65,23 @@ def write_export(
     learnt: bool,
     start: Float[np.ndarray, " nv"] | None,
 ) -> tuple[Path, str]:
-    """Write a file to take home into the folder of the constraint's file.
+    """Write an export file into the folder of the constraint file.
 
     Args:
         robot: The arm.
-        tip: Its guided frame.
-        said: Called with the progress.
-        what: constraint, csv, lerobot, replay or script.
-        files: The recordings, in that folder.
-        file: File of the constraint.
-        learnt: True if there is one.
+        tip: Name of the guided frame.
+        said: Function that is called with the name of a stage and its completed fraction, 0 to 1.
+        what: Kind of file: `"constraint"`, `"csv"`, `"lerobot"`, `"replay"` or `"script"`.
+        files: Paths of the recordings.
+        file: Path of the constraint file.
+        learnt: True if a constraint has been learnt.
         start: shape (nv,), start posture of the arm for the task [rad or m]; None for no start.
 
     Returns:
-        The file, and its description.
+        Path of the written file, and its description.
 
     Raises:
-        OutputError: The file needs a constraint and none was learnt yet, or an unknown kind of file.
+        OutputError: The file needs a constraint and none was learnt yet, or `what` is unknown.
     """
     if what not in HOMES:
         raise OutputError(f"the files to take home are {', '.join(HOMES)}, not {what!r}")

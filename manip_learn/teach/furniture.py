@@ -1,7 +1,7 @@
 """Furniture of the teaching page as boxes: a chest and a cupboard.
 
-Frames are handle frames of closed furniture: x right or away from the hinge, y the opening direction, z up or the
-axis of the hinge, right-handed.
+Boxes are in the frame of the handle when the furniture is closed. It is right-handed: x points right or away from the
+hinge, y in the opening direction, and z up or along the axis of the hinge.
 """
 
 from __future__ import annotations
@@ -16,7 +16,9 @@ Board = tuple[float, float, float, float, float, float, str]  # centre x, y, z, 
 
 
 def facing(out: Float[np.ndarray, " 3"], handle: Float[np.ndarray, " 3"]) -> Float[np.ndarray, "4 4"]:
-    """Return the pose of a handle that moves along a direction, upright unless that is vertical.
+    """Return the pose of a handle that moves along a direction, in the base frame [m].
+
+    The handle is upright unless that direction is vertical.
 
     Args:
         out: shape (3,), unit vector of the opening direction, in the base frame.
@@ -32,7 +34,7 @@ def facing(out: Float[np.ndarray, " 3"], handle: Float[np.ndarray, " 3"]) -> Flo
 def hinged(
     out: Float[np.ndarray, " 3"], axis: Float[np.ndarray, " 3"], handle: Float[np.ndarray, " 3"], radius: float
 ) -> tuple[Float[np.ndarray, "4 4"], Float[np.ndarray, " 3"]]:
-    """Return the pose of a handle that turns about an axis, for a leaf that reaches to the axis.
+    """Return the pose of a door's handle that turns about an axis.
 
     Args:
         out: shape (3,), unit vector of the opening direction, perpendicular to the axis, in the base frame.
@@ -52,7 +54,9 @@ def hinged(
 
 
 def drawer_boards(travel: float, pose: Float[np.ndarray, "4 4"]) -> tuple[tuple[Board, ...], tuple[Board, ...]]:
-    """Return a chest, on the floor if it is upright, and its drawer, deep enough for its travel.
+    """Return the boxes of a chest and of its drawer, which is deep enough for its travel.
+
+    An upright chest stands on the floor.
 
     Args:
         travel: Travel of the drawer [m].
@@ -85,7 +89,7 @@ def drawer_boards(travel: float, pose: Float[np.ndarray, "4 4"]) -> tuple[tuple[
 
 
 def door_boards(pivot: Float[np.ndarray, " 3"]) -> tuple[tuple[Board, ...], tuple[Board, ...]]:
-    """Return a cupboard and its door, from the axis to a little beyond the handle.
+    """Return the boxes of a cupboard and of its door, which reaches from the axis to a little beyond the handle.
 
     Args:
         pivot: shape (3,), position of the axis in the handle's frame [m].

@@ -1,4 +1,4 @@
-"""The arm, its surroundings and the constraint, as the teaching page draws them."""
+"""Content of the teaching page: pictures of the arm, its surroundings and the constraint, and texts."""
 
 from __future__ import annotations
 
@@ -51,23 +51,23 @@ def teaching_page(robot: Robot, name: str, token: str) -> str:
     """Return the HTML of the page for `manip-learn teach`, self-contained; it connects only to its own server.
 
     Args:
-        robot: The robot; its poses, furniture and recordings arrive as events.
-        name: Headline.
-        token: Token in the address of the page.
+        robot: The robot. The server sends its poses, furniture and recordings later, as events.
+        name: Headline of the page.
+        token: Secret token in the address of the page.
 
     Raises:
-        OutputError: Meshcat's viewer is missing.
+        OutputError: The viewer of Meshcat is not installed.
     """
     return live_page(robot, name, token, TEACH)
 
 
 @final
 class TeachingPicture:
-    """Pictures of one arm for the page.
+    """Pictures of one arm for the teaching page.
 
     Args:
         robot: The arm.
-        tip: Its guided frame.
+        tip: Name of the guided frame.
     """
 
     def __init__(self, robot: Robot, tip: str):
@@ -78,12 +78,12 @@ class TeachingPicture:
         self._rank = int(np.linalg.matrix_rank(np.hstack([robot.jacobian(q, tip)[:3] for q in postures]), tol=1e-9))
 
     def pose(self, arm: TeachingArm, constraint: Constraint | None, rows: Constraint | None) -> dict[str, Any]:
-        """Return one picture as plain data: vectors in the base frame, SI units.
+        """Return one picture as data for JSON: vectors in the base frame, in SI units.
 
         Args:
             arm: The arm in its present state.
-            constraint: The learnt constraint, or None.
-            rows: Constraint whose manipulability counts, or None for the tip's translation.
+            constraint: The learnt constraint; None before learning.
+            rows: Constraint whose manipulability is shown; None for the translation of the tip.
         """
         robot, hand, q = self._robot, arm.hand, arm.q
         U, sizes, _ = np.linalg.svd(robot.jacobian(q, self._tip)[:3], full_matrices=False)
@@ -131,7 +131,7 @@ def _directions(projector: Float[np.ndarray, "..."]) -> Float[np.ndarray, "k 3"]
 
 
 def scene_content(scene: TeachingScene, number: int) -> dict[str, Any]:
-    """Return the furniture and its texts for the page, as plain data.
+    """Return the furniture and its texts for the page, as data for JSON.
 
     Args:
         scene: The scene.
@@ -153,11 +153,11 @@ def scene_content(scene: TeachingScene, number: int) -> dict[str, Any]:
 
 
 def truth_content(scene: TeachingScene, constraint: Constraint | None) -> dict[str, Any]:
-    """Return the true mechanism of the physics, and the errors of the learnt one, as plain data.
+    """Return the true mechanism of the simulation, and the errors of the learnt one, as data for JSON.
 
     Args:
         scene: The scene.
-        constraint: The learnt constraint, or None.
+        constraint: The learnt constraint; None before learning.
     """
     handle, mechanism, errors = scene.handle, None if constraint is None else constraint.mechanism, []
     if mechanism is not None and mechanism.axis is not None:
@@ -180,10 +180,10 @@ def truth_content(scene: TeachingScene, constraint: Constraint | None) -> dict[s
 
 
 def refusal_content(why: str, recordings: int) -> dict[str, Any]:
-    """Return the texts of the page after learning failed, with the next step, as plain data.
+    """Return the texts of the page after learning failed, with the next step, as data for JSON.
 
     Args:
-        why: The learner's reason.
+        why: Message of the learner's error.
         recordings: Number of recordings.
     """
     enough = 5  # number of recordings that the page asks for
@@ -204,10 +204,10 @@ def refusal_content(why: str, recordings: int) -> dict[str, Any]:
 
 
 def answer_content(content: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the texts of the page about a learnt constraint, with the next step, as plain data.
+    """Return the texts of the page about a learnt constraint, with the next step, as data for JSON.
 
     Args:
-        content: Result of the job `learn`.
+        content: Result of `worker.learn`.
     """
     uncertain, answer = content["uncertainty"], content["answer"]
     precise = uncertain is not None and uncertain <= 1.0  # [degrees]: 9 mm at 0.5 m

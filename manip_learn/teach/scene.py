@@ -1,7 +1,7 @@
-"""Teaching scenes: a drawer, a door or a table at a random place within the arm's reach, as MuJoCo's physics.
+"""Teaching scenes in MuJoCo: a drawer, a door or a table at a random position within the arm's reach.
 
-The true mechanism consists of joints with friction and play; it shares nothing with the learner's models. The fixed
-furniture stops the arm's links except its hand; the moving furniture does not.
+The true mechanism consists of MuJoCo joints with friction and play, independent of the learner's models. The fixed
+furniture collides with the arm's links except the hand; the moving furniture does not.
 """
 
 # pyright: reportAttributeAccessIssue=false
@@ -65,20 +65,20 @@ REACHES = 0.03  # [m] largest distance from the handle at which the gripper can 
 @final
 @dataclass(frozen=True, eq=False)
 class Handle:
-    """An object to grasp, and its motion; vectors in the robot's base frame.
+    """Handle to grasp, and the motion of its furniture; poses and vectors are in the robot's base frame.
 
     Attributes:
         name: Name of the object, e.g. `"drawer"`.
         type: Type of the mechanism, as the learner calls it: `"line"`, `"plane"` or `"hinge"`.
-        pose: shape (4, 4), the handle at rest [m].
+        pose: shape (4, 4), pose of the handle at rest [m].
         axis: shape (3,), unit vector: direction of the line, axis of the hinge, or normal of the plane.
-        point: shape (3,), on the axis or in the plane [m].
+        point: shape (3,), a point on the axis or in the plane [m].
         firm: True if the hand turns with the handle.
-        travel: Range of its motion [m or rad]; in a plane to either side.
-        play: Sideways play in its rails or bearings [m].
-        friction: Dry friction [N or N m].
-        fixed: Fixed boxes in the frame of the handle at rest.
-        moving: Moving boxes in the frame of the handle at rest.
+        travel: Range of the motion [m or rad]; in a plane in each direction.
+        play: Sideways play of rails or bearings [m].
+        friction: Dry friction of the mechanism [N or N m].
+        fixed: Boxes of the fixed furniture, in the frame of the handle at rest.
+        moving: Boxes of the moving furniture, in the frame of the handle at rest.
     """
 
     name: str
@@ -95,15 +95,15 @@ class Handle:
 
     @property
     def turns(self) -> bool:
-        """True for a hinge, False if it slides."""
+        """True for a hinge, False for a line or a plane."""
         return self.type == "hinge"
 
     def moved(self, by: float, beside: float = 0.0) -> Float[np.ndarray, "4 4"]:
-        """Return the handle's pose after a motion, in the base frame [m].
+        """Return the handle's pose (4, 4) after a displacement, in the base frame [m].
 
         Args:
             by: Displacement [m or rad]; in a plane along its first direction.
-            beside: In a plane, displacement along its second direction [m].
+            beside: Displacement along the second direction of a plane [m]; not used for other mechanisms.
         """
         pose = self.pose.copy()
         if self.turns:
@@ -118,7 +118,7 @@ class Handle:
 
     @property
     def surroundings(self) -> Scene:
-        """The fixed furniture that stops an arm, in the base frame; the hand may touch it."""
+        """Scene with the fixed furniture as obstacles for the arm; the hand may touch them."""
         boxes = []
         for *at, wide, deep, high, part in self.fixed:
             if part != HANDLE:
@@ -128,7 +128,7 @@ class Handle:
         return Scene(boxes=boxes, handled=[box.name for box in boxes])
 
     def stations(self) -> list[Float[np.ndarray, "4 4"]]:
-        """Return poses along the whole motion in the base frame [m], each near the previous one."""
+        """Return poses (4, 4) along the whole motion in the base frame [m], each near the previous one."""
         if self.type == "plane":
             angles = np.linspace(0.0, 2.0 * np.pi, 25)
             return [self.moved(self.travel * np.sin(x), self.travel * np.sin(2.0 * x)) for x in angles]
@@ -138,15 +138,15 @@ class Handle:
 @final
 @dataclass(frozen=True, eq=False)
 class TeachingScene:
-    """An arm and its surroundings.
+    """Teaching scene: an arm and the furniture around it.
 
     Attributes:
         kind: Kind of the scene.
         robot: The arm.
-        tip: Its frame that grasps.
-        handle: The object to grasp.
-        start: shape (nv,), first posture [rad or m].
-        notes: Assumptions about the robot, a sentence each.
+        tip: Name of the frame that grasps.
+        handle: The handle to grasp.
+        start: shape (nv,), initial joint positions [rad or m].
+        notes: Assumptions about the robot, in sentences.
     """
 
     kind: Kind
@@ -158,7 +158,7 @@ class TeachingScene:
 
     @property
     def hard_start(self) -> tuple[float, ...] | None:
-        """Posture at the handle from which only a planned motion completes the task [rad]; None without a known one."""
+        """Posture at the handle from which the task needs a planned motion [rad]; None if no such posture is known."""
         if (start := HARD_STARTS.get((self.robot.name, self.kind))) is None:
             return None
         gap = self.robot.position(start, self.tip) - self.handle.pose[:3, 3]
@@ -166,16 +166,16 @@ class TeachingScene:
 
 
 def place_scene(kind: Kind, robot: Robot, tip: str, rng: np.random.Generator) -> TeachingScene:
-    """Return a scene at a random place where the arm can do the whole task, away from limits and singularities.
+    """Return a scene at a random position where the whole task is feasible, away from limits and singularities.
 
     Args:
         kind: Kind of the scene.
-        robot: The arm: revolute or prismatic joints on a fixed base.
-        tip: The frame that grasps.
-        rng: Source of places, sizes, friction and play.
+        robot: The arm, with revolute or prismatic joints on a fixed base.
+        tip: Name of the frame that grasps.
+        rng: Random generator of positions, sizes, friction and play.
 
     Raises:
-        ConfigurationError: An unknown kind, a robot with other joints, or no place within reach.
+        ConfigurationError: The kind is unknown, the robot has other joints, or no feasible position was found.
     """
     if kind not in TITLES:
         raise ConfigurationError(f"there is no scene {kind!r}: use one of {', '.join(TITLES)}")
@@ -261,7 +261,7 @@ class _Reach:
             kind: Kind of the scene.
 
         Returns:
-            The handle and the start posture; None if the arm cannot do the task there.
+            The handle and the start posture (nv,); None if the task is not feasible there.
         """
         q = self._posture(down=kind == "table")
         pose = self._robot.pose(q, self._tip)
@@ -330,10 +330,10 @@ class _Reach:
 
 
 def physics() -> ModuleType:
-    """Return the module MuJoCo.
+    """Import the module `mujoco`, and return it.
 
     Raises:
-        MissingExtraError: It is not installed.
+        MissingExtraError: MuJoCo is not installed.
     """
     try:
         import mujoco
@@ -346,7 +346,8 @@ def physics() -> ModuleType:
 def scene_model(scene: TeachingScene) -> object:
     """Return the scene as a `mujoco.MjModel`.
 
-    It has the arm's joints by their names, and the body `handle`, which the equality `grip` can hold at the site `tip`.
+    The model has the arm's joints under their own names, and the body `handle`; the equality constraint `grip` can
+    attach that body to the site `tip`.
 
     Args:
         scene: The scene.

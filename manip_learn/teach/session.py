@@ -1,4 +1,4 @@
-"""The teaching page's session: demonstrate, record, learn, run, take home."""
+"""Session of the teaching page: demonstrate, record, learn, reproduce and export a task."""
 
 from __future__ import annotations
 
@@ -47,13 +47,13 @@ FEW = 3  # smallest number of recordings from which constraints can be learnt
 @final
 @dataclass
 class TaughtRecording:
-    """One recording.
+    """Recording of a teaching session.
 
     Attributes:
-        path: The file.
-        motion: Its trajectory.
-        phases: Start [s], end [s] and number of the constraint, -1 for free motion.
-        odd: Reason why it disagrees with the others, or empty.
+        path: File of the recording.
+        motion: Recorded motion.
+        phases: Start [s], end [s] and index of the constraint of each phase; the index is -1 for free motion.
+        odd: Reason why the recording disagrees with the others; empty if it agrees.
     """
 
     path: Path
@@ -62,7 +62,7 @@ class TaughtRecording:
     odd: str = ""
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the recording for the page, with times relative to its first sample."""
+        """Return the recording as data for the page, with times relative to its first sample [s]."""
         first = float(self.motion.time[0])
         phases = [[start - first, end - first, k] for start, end, k in self.phases]
         numbers = {"seconds": round(self.motion.duration, 2), "samples": len(self.motion)}
@@ -71,22 +71,23 @@ class TaughtRecording:
 
 @final
 class TeachingSession:
-    """One arm, one scene at a time, and the person's recordings of it.
+    """Teaching session: one arm, one scene at a time, and the person's recordings of it.
 
-    `hear` may be called from any thread; everything else runs in the thread of `run`, between two periods of the
-    physics.
+    `hear` and `end` may be called from any thread; everything else runs in the thread of `run`, between two periods of
+    the simulation.
 
     Args:
         robot: The arm.
-        tip: Its guided frame.
+        tip: Name of the guided frame.
         keep: Folder for recordings and learnt constraints.
         kind: Kind of the first scene.
-        seed: Seed of places and noise: the first scene of each kind has this one, the next ones the following seeds.
+        seed: Seed of positions and noise. The first scene of each kind has this seed, the next ones the following
+            seeds.
         shows: Process that shows pictures and texts.
-        in_real_time: True to run the physics in real time.
+        in_real_time: True to run the simulation in real time.
 
     Raises:
-        ManipLearnError: A robot that cannot be taught, or a scene that it cannot reach.
+        ManipLearnError: The robot cannot be simulated in a teaching scene, or cannot reach the scene.
     """
 
     def __init__(
@@ -135,29 +136,29 @@ class TeachingSession:
     # ---- the thread of the physics --------------------------------------------------------------------------------
 
     def hear(self, heard: Mapping[str, Any]) -> None:
-        """Accept a message of a page or the server; from any thread.
+        """Accept a message from the page or the server, in any thread.
 
         Args:
-            heard: The message.
+            heard: The message, decoded from JSON.
         """
         self._heard.put(heard)
 
     def end(self) -> None:
-        """Ask `run` to return; from any thread."""
+        """End `run` soon; may be called in any thread."""
         self._heard.put({"end": True})
 
     @property
     def files(self) -> tuple[Path, ...]:
-        """The recordings of this scene."""
+        """Files of the recordings of the present scene."""
         return tuple(one.path for one in self._recordings)
 
     @property
     def sentence(self) -> str:
-        """The answer about this scene; empty without one."""
+        """Sentence on the constraint learnt in the present scene; empty if none was learnt."""
         return "" if self._answer is None else str(self._answer["sentence"])
 
     def run(self) -> None:
-        """Run until the last page is closed, or `end` is called."""
+        """Run the session until the last page is closed, or `end` is called."""
         try:
             while not self._ended:
                 mode, self._mode, self._stop = self._mode or self._idle, None, False

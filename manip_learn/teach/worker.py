@@ -1,4 +1,4 @@
-"""Learning, planning and simulation in a separate process, which take seconds while the arm keeps moving."""
+"""Learning, planning and simulation in a separate process: they take seconds, and the arm must keep moving."""
 
 from __future__ import annotations
 
@@ -27,11 +27,11 @@ STEP = 0.01  # [s] time step of simulations, equal to the arm's period
 
 @final
 class TeachingWorker:
-    """A process that learns, plans and simulates for one robot, one job after the other.
+    """Process that learns, plans and simulates for one robot, one job at a time.
 
     Args:
         robot: The robot.
-        tip: Its guided frame.
+        tip: Name of the guided frame.
     """
 
     def __init__(self, robot: Robot, tip: str):
@@ -50,27 +50,28 @@ class TeachingWorker:
         self.busy = ""
 
     def ask(self, job: str, **what: Any) -> None:
-        """Begin a job, and cancel the former one.
+        """Start a job, and cancel the previous one.
 
         Args:
-            job: Name of a function of `JOBS`.
-            **what: Its keyword arguments.
+            job: Name of a job, a key of `JOBS`.
+            **what: Keyword arguments of the job's function.
         """
         self.give_up()
         self.busy = job
         self._pipe.send((job, what))
 
     def give_up(self) -> None:
-        """Drop the job, if there is one."""
+        """Cancel the present job, if there is one."""
         if self.busy:
             self.close()
             self._start()
 
     def heard(self) -> list[tuple[str, Any]]:
-        """Return the messages since the last call.
+        """Return the messages of the process since the last call.
 
         Returns:
-            ("progress", (step, share)), ("done", (job, answer)) or ("failed", (job, sentence)).
+            Pairs of a kind and its content: `("progress", (name of the stage, completed fraction))`, `("done", (job,
+            result))` or `("failed", (job, message of the error))`.
         """
         out: list[tuple[str, Any]] = []
         try:
@@ -129,13 +130,13 @@ def learn(robot: Robot, tip: str, said: Progress, *, files: list[str], file: str
 
     Args:
         robot: The robot.
-        tip: Its guided frame.
-        said: Called with the progress.
-        files: The recordings.
-        file: File for the skill.
+        tip: Name of the guided frame.
+        said: Function that is called with the name of a stage and its completed fraction, 0 to 1.
+        files: Paths of the recordings.
+        file: Path of the file for the skill.
 
     Returns:
-        The answer for the page, and the phases of the recordings by their file names.
+        Answer for the page, with the phases of the recordings by file name.
     """
     from manip_learn.constraint.features import FrameJacobian
     from manip_learn.learning import ConstraintLearner
@@ -170,7 +171,7 @@ def learn(robot: Robot, tip: str, said: Progress, *, files: list[str], file: str
 
 
 def with_gripper(skill: Skill) -> Skill:
-    """Return a skill that closes the gripper at the start of a motion step, and opens it at its end, as the person did.
+    """Return a copy of a skill that closes the gripper at the start of each motion step, and opens it after the step.
 
     Args:
         skill: The learnt skill.
@@ -182,13 +183,13 @@ def with_gripper(skill: Skill) -> Skill:
 
 
 def first_way(skill: Skill) -> Constraint | None:
-    """Return the constraint of the first motion step of a skill that is long enough, with its demonstrated motion.
+    """Return the constraint, with its demonstrated motion, of the first motion step of a skill that is long enough.
 
     Args:
         skill: The learnt skill.
 
     Returns:
-        A constraint with a motion of more than 0.02 m or 0.05 rad; None without one.
+        Constraint whose motion is longer than 0.02 m or 0.05 rad; None if there is none.
     """
     for way in (step.as_shown for step in skill.steps if step.kind == "way"):
         if way is not None and way.shown is not None and way.shown.extent > {"m": 0.02, "rad": 0.05}[way.shown.unit]:
@@ -266,16 +267,16 @@ def _compare(robot: Robot, tip: str, said: Progress, *, file: str, start: ArrayL
 def ghost(
     robot: Robot, name: str, colour: str, time: Any, q: Any, curve: Any = None, ended: str = ""
 ) -> dict[str, Any]:
-    """Return a motion that the page plays beside the arm, as plain data.
+    """Return a motion that the page plays next to the arm, as data for JSON.
 
     Args:
         robot: The robot.
         name: Name in the legend.
-        colour: Hexadecimal value.
+        colour: Colour as a hexadecimal text.
         time: shape (T,), time of each sample [s].
         q: shape (T, nq) or (T, nv), postures.
-        curve: shape (T,), manipulability, or None.
-        ended: Reason for the end, in words.
+        curve: shape (T,), manipulability; None to show none.
+        ended: Reason for the end of the motion, in words; empty if it is complete.
     """
     from manip_learn.playback.appearance import joint_tracks
     from manip_learn.playback.page_writer import to_base64

@@ -1,8 +1,8 @@
-"""A learnt task for force and impedance controllers: URScript, Cartesian impedance, MoveIt.
+"""Export of a learnt task for force and impedance controllers: URScript, Cartesian impedance, MoveIt.
 
-They all need axes, and for each axis whether the environment holds the hand along it. A stiff controller would press
-along a held axis with a force that grows with every error of the frame, so held axes are compliant; along the others
-the controller must do the work, and is stiff. Unknown axes stay as they are: stiff.
+These controllers need axes, and for each axis whether the environment holds the hand along it (a held axis). A stiff
+controller would press along a held axis with a force that grows with every error of the frame, so held axes are
+compliant. Along free axes the controller moves the hand, and is stiff. Axes of which nothing was learnt are stiff, too.
 """
 
 from __future__ import annotations
@@ -38,20 +38,21 @@ TOLERANCE = (0.005, math.radians(2.0))
 
 
 def force_mode(constraint: Constraint, q: ArrayLike) -> dict[str, Any]:
-    """Return the arguments of `force_mode` at a posture, for programs that call it themselves.
+    """Return the arguments of URScript's `force_mode` at a posture, for programs that call it themselves.
 
     Args:
         constraint: The task.
         q: Posture.
 
     Returns:
-        `task_frame`: position [m] and rotation vector [rad] in the controller's base, which is the frame `base` where
-        the robot has one, as in the descriptions by Universal Robots; `selection_vector`: 1 for each held axis, along
-        which the arm is compliant; `wrench`: zero [N, N m], so that it follows; `type`: 2, the frame as it is;
-        `limits`: largest speed of compliant axes [m/s, rad/s], deviation of the others [m, rad].
+        `task_frame`: position [m] and rotation vector [rad] in the base frame of the UR controller (the robot's frame
+        `base` if it has one, as in the descriptions by Universal Robots; otherwise the robot's base frame);
+        `selection_vector`: 1 for each held axis, along which the arm is compliant, and 0 for the other axes; `wrench`:
+        six zeros [N, N m], so that the arm gives way; `type`: 2, the task frame is used without a transformation;
+        `limits`: largest speed along compliant axes [m/s, rad/s], largest deviation along the other axes [m, rad].
 
     Raises:
-        ConstraintError: No task frame, or one seen from another moving frame.
+        ConstraintError: The constraint has no task frame, or its task frame is relative to another moving frame.
     """
     frame, robot = _frame_and_robot(constraint, q, "force_mode takes")
     selection = [int(is_held) for is_held in frame.along("held")]
@@ -65,17 +66,18 @@ def force_mode(constraint: Constraint, q: ArrayLike) -> dict[str, Any]:
 
 
 def urscript(constraint: Constraint, q: ArrayLike) -> str:
-    """Return a program that sets a UR arm to force mode along the held axes; its moves do the rest.
+    """Return a URScript program that sets a UR arm to force mode, compliant along the held axes.
 
-    The frame follows the hand: with the hand's own axes, or about the axis of a hinge. Written from the script manual,
-    not tested on a controller.
+    A comment in the program marks where to insert your moves along the free axes, with an example. The task frame
+    follows the hand; where the task requires it, it also turns with the hand, or about the axis of a hinge. Written
+    from the script manual, not tested on a controller.
 
     Args:
         constraint: The task.
         q: Posture.
 
     Raises:
-        ConstraintError: No task frame, or one seen from another moving frame.
+        ConstraintError: The constraint has no task frame, or its task frame is relative to another moving frame.
     """
     arguments, (frame, robot) = force_mode(constraint, q), _frame_and_robot(constraint, q)
     tcp = np.linalg.inv(robot.pose(q, "tool0")) @ frame.hand if "tool0" in robot.frame_names else None
@@ -102,26 +104,33 @@ def impedance(
     compliant: Sequence[float] = (100.0, 5.0),
     damping_ratio: float = 1.0,
 ) -> dict[str, Any]:
-    """Return the stiffness K and damping D of a Cartesian impedance controller, shape (6, 6), as plain numbers.
+    r"""Return the parameters of a Cartesian impedance controller: compliant along held axes, stiff along all others.
 
-    The wrench K dx - D (v, w) acts on the hand's origin along the axes of the robot's base, dx the displacement to its
-    goal and its rotation vector [m, rad]. With M the inertia of the hand at this posture,
+    The controller applies the wrench :math:`K\,dx - D\,(v, w)` at the hand's origin along the axes of the robot's base,
+    with the displacement and rotation vector dx to the goal [m, rad] and the hand's linear and angular velocity (v, w).
+    With the inertia M of the hand at this posture, every mode has the damping ratio z:
 
-        D = 2 z M^1/2 (M^-1/2 K M^-1/2)^1/2 M^1/2,
+    .. math::
 
-    so that each mode is damped by the ratio z.
+        D = 2 z M^{1/2} (M^{-1/2} K M^{-1/2})^{1/2} M^{1/2}
 
     Args:
         constraint: The task.
         q: Posture.
-        stiff: Stiffness along free and unknown axes [N/m, N m/rad]. At 15 N, the loop's own limit of force, the default
-            yields by 15 mm; 50 N m/rad are as stiff for a force 0.22 m off the axis.
-        compliant: Stiffness along held axes [N/m, N m/rad]: by default a tenth. A drawer whose axis was 5 degrees wrong
-            cost 1.8 N at 100 N/m, 30 N at 2,000 (measured).
-        damping_ratio: z, 1 for critical damping.
+        stiff: Stiffness along free and unknown axes: linear [N/m] and rotational [N m/rad]. At 15 N, the force at which
+            `ServoLoop` stops by default, 1,000 N/m yields by 15 mm; 50 N m/rad match 1,000 N/m at a lever of 0.22 m.
+        compliant: Stiffness along held axes, linear [N/m] and rotational [N m/rad]; the default is a tenth of `stiff`.
+            A drawer with an axis error of 5 degrees caused a force of 1.8 N at 100 N/m, and 30 N at 2,000 N/m
+            (measured).
+        damping_ratio: Damping ratio z; 1 for critical damping.
+
+    Returns:
+        `stiffness` K and `damping` D, each (6, 6) as nested lists [N/m, N m/rad, and these times s]; `base` and
+        `frame`, the names of the base frame and of the hand's frame; `task_frame` and `stiffness_along_axes`, the task
+        frame and the stiffness along each of its axes; and `reason`, a text that explains the choice.
 
     Raises:
-        ConstraintError: No task frame.
+        ConstraintError: The constraint has no task frame.
     """
     frame, robot = _frame_and_robot(constraint, q)
     values = np.where(frame.along("held"), np.repeat(compliant, 3), np.repeat(stiff, 3))
@@ -139,19 +148,20 @@ def impedance(
 
 
 def moveit_constraints(constraint: Constraint, q: ArrayLike) -> str:
-    """Return the path constraints of a plan that does the task: a `moveit_msgs/Constraints` as YAML.
+    """Return the path constraints of a MoveIt plan for the task: a `moveit_msgs/Constraints` message as YAML.
 
-    The held point stays in a box, flat along held axes, or in one of several boxes along the circle or the helix about
-    an axis; no region is given for a sphere. The link turns by no more than the tolerance about held axes. MoveIt
-    measures that about the link's own axes: where the free turn lies between these, the constraint is wider than the
-    task. Written from the message definitions, not tested in MoveIt.
+    The constrained point stays in a box that is thin along held axes, or in one of several boxes along the circle or
+    the helix about an axis; for a point on a sphere there is no position constraint. The rotation of the link about
+    held axes is limited to a tolerance. MoveIt measures rotations about the link's own axes: if the free axis of
+    rotation lies between these, the constraint allows more than the task. Written from the message definitions, not
+    tested in MoveIt.
 
     Args:
         constraint: The task.
         q: Posture.
 
     Raises:
-        ConstraintError: No task frame, or one seen from another moving frame.
+        ConstraintError: The constraint has no task frame, or its task frame is relative to another moving frame.
     """
     frame, robot = _frame_and_robot(constraint, q, "path constraints are in")
     of_link = np.linalg.inv(frame.hand)
@@ -205,10 +215,10 @@ WRITERS: Mapping[str, Callable[[Constraint, ArrayLike], str]] = {
 
 
 def as_json(described: Mapping[str, Any]) -> str:
-    """Return plain numbers and words as the text of a JSON file.
+    """Return the content of a JSON file as text.
 
     Args:
-        described: Content of the file.
+        described: Content: a mapping of numbers, texts, lists and mappings.
     """
     return json.dumps(described, indent=2, allow_nan=False) + "\n"
 

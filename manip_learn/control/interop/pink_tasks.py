@@ -55,25 +55,25 @@ class _RobotTask(_Task):
 
 @final
 class PinkConstraintTask(_RobotTask):
-    """A(q) u = b(q, t), equation (1), for `pink.solve_ik`.
+    """Task of Pink for a learnt constraint and its task: equation (1), A(q) u = b(q, t), for `pink.solve_ik`.
 
-    Pink solves J dq = -gain e for the displacement dq = dt u, so that J = A and e = -dt b; leave `gain` at 1, the task
-    has its own. Passed among the `constraints` it is a hard equality; among the `tasks` it is weighted by `cost`. With
-    `PinkPolicyTask` as the only task, and neither limits nor damping, Pink's velocity is ours, u = A^+ b + N pi,
-    equation (2).
+    Pink solves J dq = -gain e for the displacement dq = dt u, so that J = A and e = -dt b. Leave Pink's `gain` at 1:
+    the task has a gain of its own. Passed among the `constraints` of `solve_ik` it is a hard equality; among the
+    `tasks` it is weighted by `cost`. With `PinkPolicyTask` as the only task, and neither limits nor damping, Pink
+    returns the same velocity as `ResolvedRateController`, u = A^+ b + N pi, equation (2).
 
     Args:
-        constraint: A(q). Its robot's joints are found in Pink's model by their names; Pink's may have more.
-        task: b(q, t).
+        constraint: Constraint A(q). The joints of its robot are found by name in Pink's model, which may have more.
+        task: Task b(q, t).
         dt: Time step of `solve_ik` [s].
-        cost: Weight of the rows; it does not matter for a hard constraint.
+        cost: Weight of the rows; it has no effect on a hard constraint.
         lm_damping: Pink's Levenberg-Marquardt damping.
 
     Attributes:
-        time: t of b(q, t) [s]; set it before each step if the task depends on it.
+        time: Time t of b(q, t) [s]; set it before each step if the task depends on time.
 
     Raises:
-        ConstraintError: Features without a robot, or with mimic joints, which Pink does not have.
+        ConstraintError: The features have no robot, or its mimic joints are not supported by Pink.
         ConfigurationError: dt is not a positive number.
     """
 
@@ -84,7 +84,7 @@ class PinkConstraintTask(_RobotTask):
         self.constraint, self.task = constraint, task
 
     def compute_error(self, configuration: Any) -> Float[np.ndarray, " s"]:
-        """Return -dt b at a configuration, shape (s,) in the rows' units.
+        """Return the error e = -dt b of Pink's task at a configuration, shape (s,) in the rows' units.
 
         Args:
             configuration: A `pink.Configuration`.
@@ -92,7 +92,7 @@ class PinkConstraintTask(_RobotTask):
         return -self.dt * self.task.velocity(self.constraint, self._posture(configuration), self.time)
 
     def compute_jacobian(self, configuration: Any) -> Float[np.ndarray, "s nv"]:
-        """Return A in the columns of the joints that it acts on, shape (s, nv of Pink's model).
+        """Return A in the columns of its joints in Pink's model, and zeros for all others, shape (s, nv of that model).
 
         Args:
             configuration: A `pink.Configuration`.
@@ -105,22 +105,22 @@ class PinkConstraintTask(_RobotTask):
 
 @final
 class PinkPolicyTask(_RobotTask):
-    """u = pi(q, t) as a task of Pink: J is the identity on the robot's joints and e = -dt pi.
+    """Task of Pink for a null-space policy, u = pi(q, t): J is the identity on the robot's joints and e = -dt pi.
 
     With `ManipulabilityAscent` it climbs the manipulability of the learnt rows, with their exact gradient; Pink's own
-    `ManipulabilityTask` has no dense selection of rows.
+    `ManipulabilityTask` cannot combine rows of the Jacobian.
 
     Args:
-        policy: pi(q, t).
+        policy: Policy pi(q, t).
         robot: Robot whose joints the policy moves, found in Pink's model by their names.
         dt: Time step of `solve_ik` [s].
         cost: Weight.
 
     Attributes:
-        time: t of pi(q, t) [s].
+        time: Time t of pi(q, t) [s]; set it before each step if the policy depends on time.
 
     Raises:
-        ConstraintError: Mimic joints, which Pink does not have.
+        ConstraintError: The robot has mimic joints, which Pink does not support.
         ConfigurationError: dt is not a positive number.
     """
 
@@ -129,7 +129,7 @@ class PinkPolicyTask(_RobotTask):
         self.policy = policy
 
     def compute_error(self, configuration: Any) -> Float[np.ndarray, " n"]:
-        """Return -dt pi at a configuration, shape (n,) [rad or m].
+        """Return the error e = -dt pi of Pink's task at a configuration, shape (n,) [rad or m].
 
         Args:
             configuration: A `pink.Configuration`.
@@ -137,7 +137,7 @@ class PinkPolicyTask(_RobotTask):
         return -self.dt * self.policy(self._posture(configuration), self.time)
 
     def compute_jacobian(self, configuration: Any) -> Float[np.ndarray, "n nv"]:
-        """Return the identity, in the columns of the joints that the policy moves.
+        """Return a row per joint (n, nv of Pink's model): 1 in the column of that joint, 0 in all others.
 
         Args:
             configuration: A `pink.Configuration`.

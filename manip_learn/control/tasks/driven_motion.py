@@ -1,4 +1,7 @@
-"""A motion along a free direction of a constraint: one coordinate of a chart is driven, while the others are held."""
+"""Geometry of a motion along a free direction of a constraint: one coordinate is driven, all others are held.
+
+A chart maps the distance along a motion to poses of the hand, and poses back to distances.
+"""
 
 from __future__ import annotations
 
@@ -43,10 +46,10 @@ _HOW = {"m": "move along", "rad": "turn about", None: "move along"}
 
 
 def way_in_words(way: float, unit: Unit) -> str:
-    """Return the size of a distance or angle in words, e.g. `"0.3 m"` or `"60 degrees"`.
+    """Return the absolute value of a distance or angle with its unit, e.g. `"0.3 m"` or `"60 degrees"`.
 
     Args:
-        way: The distance [m] or angle [rad]; its sign is dropped.
+        way: Distance [m] or angle [rad]; its sign is dropped.
         unit: `"m"` or `"rad"`.
     """
     return f"{abs(way):.3g} m" if unit == "m" else f"{math.degrees(abs(way)):.3g} degrees"
@@ -55,17 +58,20 @@ def way_in_words(way: float, unit: Unit) -> str:
 @final
 @dataclass(frozen=True, eq=False)
 class DrivenMotion:
-    """A driven free direction; the constrained rows are held at their values at the start.
+    """Motion along one free direction of a constraint; the held rows keep their values at the start.
 
     Attributes:
         held: The learnt constraint.
-        constraint: Its rows, further rows that are held, and the driven one.
-        driven: shape (p,), change of the features' coordinates per unit of distance, at the beginning.
-        unit: `"m"` or `"rad"`, of distances along the motion.
-        origin: Posture -> the pose of the frame; coordinates of features without one.
-        chart_at: Origin -> a `Chart`, or an object with the same methods.
-        by_row: True if the distance is measured along the driven row, rather than by the chart: for constant rows.
-        around: Mechanism with more free directions than this motion; its held rows are the first ones. None for none.
+        constraint: Constraint with the learnt rows, further rows that are held, and the driven row.
+        driven: shape (p,), change of the features' coordinates per unit of distance, at the start of the motion.
+        unit: Unit of distances along the motion, `"m"` or `"rad"`.
+        origin: Function of a posture that returns the pose of the frame (4, 4), or the coordinates (p,) of features
+            without a frame.
+        chart_at: Function of such a pose or coordinates, the origin of the motion, that returns a `Chart`, or an object
+            with the same methods.
+        by_row: True if the distance is measured along the driven row instead of by the chart, as for constant rows.
+        around: Mechanism with more free directions than this motion; its held rows are the first ones of the
+            constraint. None if there is no such mechanism.
     """
 
     held: Constraint
@@ -80,11 +86,11 @@ class DrivenMotion:
 
 @final
 class Course:
-    """A driven motion from its origin, in terms of the rows of its features.
+    """Driven motion that starts at a given origin, for evaluating postures along it.
 
     Args:
         motion: The motion.
-        origin: Its origin.
+        origin: Pose (4, 4) or coordinates (p,) at which the motion starts.
     """
 
     def __init__(self, motion: DrivenMotion, origin: Origin):
@@ -92,11 +98,11 @@ class Course:
         self._around = None if motion.around is None else motion.around.at(origin, np.inf)
 
     def evaluate(self, q: ArrayLike, near: float) -> tuple[float, Float[np.ndarray, " p"], Float[np.ndarray, " p"]]:
-        """Return the distance of the hand from the origin, the tangent of the motion and the deviation of the hand.
+        """Return the hand's distance along the motion, the tangent of the motion, and the deviation from it.
 
         Args:
             q: Posture.
-            near: Previous distance [m or rad]: of angles a turn apart the nearest one counts.
+            near: Previous distance [m or rad]; of all angles that differ by full turns, the nearest to it is returned.
 
         Returns:
             The distance along the motion [m or rad]; the change of the rows (p,) per unit of distance; and the
@@ -116,11 +122,11 @@ class Course:
         return place, ahead, off
 
     def deviation(self, q: ArrayLike, distance: float) -> float:
-        """Return the deviation of the held rows, a norm [m or rad].
+        """Return the deviation of the held rows from their values on the motion, as a norm [m or rad].
 
         Args:
             q: Posture.
-            distance: Distance along the motion [m or rad], at which the rows should be.
+            distance: Distance along the motion at which the values are taken [m or rad].
         """
         here, learnt = self.motion.origin(q), self.motion.held
         if self._around is not None:
@@ -145,17 +151,17 @@ class _Line:
     begin: Origin
 
     def pose(self, s: tuple[float]) -> Origin:
-        """Return the origin at a distance.
+        """Return the coordinates (p,) at a distance along the motion.
 
         Args:
-            s: The distance, one number [m or rad].
+            s: The distance, a tuple of one number [m or rad].
         """
         out = self.begin.copy()
         _place(out)[:] += s[0] * self.driven
         return out
 
     def twist(self, _s: tuple[float], _here: Origin) -> Float[np.ndarray, "k 1"]:
-        """Return the tangent of the motion (k, 1), the same everywhere.
+        """Return the tangent of the motion (k, 1), which is the same at all distances.
 
         Args:
             _s: Not used.
@@ -167,13 +173,13 @@ class _Line:
         """Return the deviation of the hand from the motion (k,), in the rows' units.
 
         Args:
-            here: Pose, or coordinates, of the hand.
-            s: The distance, one number [m or rad].
+            here: Pose or coordinates of the hand.
+            s: The distance along the motion, a tuple of one number [m or rad].
         """
         return _place(here) - _place(self.begin) - s[0] * self.driven
 
     def heading(self, _pose: Origin) -> Float[np.ndarray, " 6"]:
-        """Return the velocity of the position, and zeros, shape (6,).
+        """Return the twist of the motion without rotation, shape (6,): the velocity of the position, and three zeros.
 
         Args:
             _pose: Not used.
@@ -189,15 +195,15 @@ def driven_motion(constraint: Constraint, direction: Direction, unit: Unit | Non
     """Return the motion along a free direction of a constraint.
 
     Args:
-        constraint: The learnt constraint; rows of a mechanism under their own names.
-        direction: Numbers along the features' rows, or three for the linear ones; for a mechanism the name of a row,
-            for a ball the axis of the rotation in the base frame (right-handed). None where only one is free.
+        constraint: The learnt constraint.
+        direction: One number per feature row, or three for the linear rows; for a mechanism the name of a free row; for
+            a ball joint the axis of the rotation in the base frame (right-handed). None if only one direction is free.
         unit: `"m"` for a translation, `"rad"` for a rotation; None for any free direction.
-        straight: True holds the other free translations, too; False leaves them to the null-space policy.
+        straight: True to hold the other free translations, too; False leaves them to the null-space policy.
 
     Raises:
-        ConstraintError: No direction is free, several are and none was named, or rows of a mechanism are held in
-            combinations.
+        ConstraintError: No direction is free, several are free and none was selected, or the constraint holds
+            combinations of a mechanism's rows instead of single rows.
         TargetError: The direction has the wrong size, is not finite, or is held.
     """
     features: Any = constraint.features
@@ -223,7 +229,7 @@ def driven_motion(constraint: Constraint, direction: Direction, unit: Unit | Non
 
 
 def screw(travel: np.ndarray, turn: np.ndarray = _STILL, spin: np.ndarray = _STILL, **more: Any) -> ChartAt:
-    """Return a function that makes the chart of one screw about an origin.
+    """Return a function of an origin that returns the `Chart` of a screw motion which starts there.
 
     Args:
         travel: Velocity of the point at the base's origin (3,) [m per unit of distance].
@@ -345,12 +351,12 @@ def _free_row(held: list[str], rest: list[str], direction: Direction, unit: Unit
 def along_path(constraint: Constraint, shown: Shown, ramp: float) -> tuple[DrivenMotion, PathProfile]:
     """Return the motion of the hand along a demonstrated path on a surface, and its distance over time.
 
-    The rows are the hand's velocity along the base's axes, and the held rows of its rotation.
+    The rows of the motion are the hand's velocity along the base's axes, and the constrained rows of its rotation.
 
     Args:
         constraint: The learnt constraint.
         shown: The demonstrated motion with its path.
-        ramp: Time in which the time of the recording accelerates to its rate [s].
+        ramp: Time from rest until the path is followed at its demonstrated speed [s].
     """
     twist, mechanism = constraint.features.twist, constraint.mechanism
     turning = np.zeros((0, 3)) if mechanism is None or mechanism.orientation == "free" else np.eye(3)
@@ -388,18 +394,19 @@ class _Path:
         return row[:6] + (s - min(max(s, 0.0), float(self.ways[-1]))) * row[6:], row[6:]
 
     def pose(self, s: tuple[float]) -> Origin:
-        """Return the pose of the hand (4, 4) in the base frame.
+        """Return the pose of the hand (4, 4) in the base frame at a distance along the path.
 
         Args:
-            s: The distance along the path, one number [m].
+            s: The distance along the path, a tuple of one number [m].
         """
         out, (place, _) = self.begin.copy(), self._at(s[0])
         out[:3, 3], out[:3, :3] = place[:3], rotation_matrix(place[3:] / _LEVER) @ out[:3, :3]
         return out
 
     def coordinates(self, pose: Origin, near: float) -> Float[np.ndarray, " 1"]:
-        """Return the distance of the point nearest to the hand, of those less than 2 cm from `near`: a path may cross
-        itself.
+        """Return the distance along the path of its point nearest to the hand.
+
+        Because a path may cross itself, only points less than 2 cm along the path from `near` are considered.
 
         Args:
             pose: Pose of the hand (4, 4) in the base frame.

@@ -35,59 +35,60 @@ HOLD_GAP = 2e-4
 
 @final
 class FreeDirection(SinglePassTask):
-    """Move along a free direction of a constraint by a distance, at a speed, and hold the constrained rows.
+    """Task that moves the hand along a free direction of a constraint by a distance, and holds the constrained rows.
 
     A drawer moves by metres along its rail, a door or a screw by radians about its axis (one turn is 2 pi). The speed
-    rises and falls smoothly over `ramp`. Feedback keeps the constrained coordinates at their values at the start: on
-    the line, on the circle, on the helix. Where limits slow the arm down it arrives later, and never moves faster than
-    `speed`.
+    rises and falls smoothly over `ramp`. Feedback keeps the constrained coordinates at their values at the start, so
+    that the hand stays on the line, circle or helix. If limits slow the arm down it arrives later; it never moves
+    faster than `speed`.
 
-    The motion starts with the first call: its posture and time are the start. A call at or before that time after later
-    ones is a new run and starts again. `reset` forgets the start.
+    The motion starts at the posture and the time of the first call. If a later call has a time at or before that
+    start, the motion starts again. `reset` clears the start.
 
-    With `take_hold` the hand first moves straight to the mechanism, if it is not there: to the nearest start pose of
+    With `take_hold` the hand first moves straight to the mechanism if it is not there: to the nearest start pose of
     the demonstrations from which the motion stays within the demonstrated range (see `hold`).
 
     Args:
-        constraint: Constraint of the hand; the controller gets the same. Constant rows (the rows of one frame's
-            Jacobian, relative to another frame, of the centre of mass, or any features with coordinates) or rows of a
-            mechanism.
-        distance: Distance along the free direction [m], or angle [rad]; negative for the opposite sense. For one free
-            direction of constant rows, the positive sense is the sense of its largest component along the rows (see
-            `direction`), for mechanisms the sense of the axis, right-handed.
-        speed: Largest rate [m/s or rad/s], positive.
-        direction: Selects the direction, where several are free: numbers along the features' rows, or three for x, y,
-            z; projected onto the free directions. The other free directions are left to the null-space policy. For a
-            cylinder or a sleeve the name of a row (`"tangential"`, `"axial"`, `"turn"`, `"slide"`), for a ball the axis
-            of the rotation.
+        constraint: Constraint of the hand; pass the same one to the controller. Its rows are either constant (rows of a
+            frame's Jacobian, also relative to another frame, of the centre of mass, or of any features with
+            coordinates) or rows of a mechanism.
+        distance: Distance along the free direction [m], or angle [rad]; negative for the opposite sense. If constant
+            rows leave one direction free, its positive sense is the one in which its largest component along the rows
+            is positive (see `direction`); for mechanisms it is the sense of the axis, right-handed.
+        speed: Largest speed [m/s or rad/s], positive.
+        direction: Direction of the motion, needed if several are free: one number per feature row, or three for x, y,
+            z; they are projected onto the free directions. The other free directions are left to the null-space policy.
+            For a cylinder or a sleeve the name of a row (`"tangential"`, `"axial"`, `"turn"`, `"slide"`), for a ball
+            joint the axis of the rotation in the base frame.
         gain: Rate at which deviations are corrected [1/s].
-        ramp: Time from rest to the speed [s].
-        start: Posture at which the motion starts, if it is not the posture of the first call.
-        unit: `"m"` or `"rad"`: selects the kind of direction, where the constraint leaves both free.
-        straight: The hand's position moves along the motion only: other free translations are held too, instead of
-            being left to the null-space policy.
-        keep_orientation: The hand does not turn either, e.g. because a gripper has closed on a handle.
-        pause: Time for which the hand is at rest at the mechanism before the motion begins, as to close a gripper [s];
-            the null-space policy meanwhile brings the arm into a better posture.
-        take_hold: Move to the mechanism first, where the constraint has its position: all contacts with it began at one
-            pose, or it was learnt with a loose grip.
-        as_shown: Begin at the start pose of the contacts, even if the hand is on the mechanism already; and, where
-            several directions are free, follow the demonstrated path, with its timing: `distance` and `speed` do not
-            count.
+        ramp: Time from rest to `speed` [s].
+        start: Posture at which the motion starts; None for the posture of the first call.
+        unit: `"m"` for a translation or `"rad"` for a rotation, if the constraint leaves both free; None for any.
+        straight: True to hold the other free translations, too, so that the hand's position moves along the motion
+            only; False leaves them to the null-space policy.
+        keep_orientation: True to keep the orientation of the hand, too, e.g. because a gripper has closed on a handle.
+        pause: Time for which the hand is at rest at the mechanism before the motion begins, e.g. to close a gripper
+            [s]. Meanwhile the null-space policy moves the arm to a better posture.
+        take_hold: True to move to the mechanism first. The constraint must contain its position: all contacts with it
+            began at one pose, or it was learnt with a loose grip.
+        as_shown: True to begin at the start pose of the contacts, even if the hand is on the mechanism already. If
+            several directions are free, the hand also follows the demonstrated path with its timing, and `distance` and
+            `speed` are ignored.
 
     Attributes:
-        learnt: The constraint.
-        constraint: The constrained rows and the driven one.
+        learnt: The constraint that was passed.
+        constraint: Constraint with the held rows and the driven row.
         unit: Unit of the distance, `"m"` or `"rad"`.
         wanted: The whole distance [m or rad].
-        grip_shown: Orientation of the hand at the start pose of the contacts, and the largest angle from it in others
-            [rad]; None if not known.
-        counts: 1, or -1 if the caller's positive sense, as in the demonstrations, is the negative sense here.
+        grip_shown: Orientation of the hand at the start pose of the contacts, and the largest angle from it in the
+            other contacts [rad]; None if not known.
+        counts: Sign with which distances are reported: -1 if the positive sense of the demonstrations is the negative
+            sense of this task, otherwise 1.
         way_begins: Time at which the hand was at the mechanism and the motion began [s]; None before.
 
     Raises:
-        ConstraintError: No direction is free, or several are without `direction`; the message lists them.
-        FeatureError: Features that have no coordinates.
+        ConstraintError: No direction is free, or several are and `direction` is missing; the message lists them.
+        FeatureError: The features have no coordinates.
         TargetError: An invalid distance, speed, gain or ramp, or a direction that is held.
 
     Example:
@@ -149,11 +150,11 @@ class FreeDirection(SinglePassTask):
 
     @property
     def duration(self) -> float:
-        """Duration of the motion if no limit slows it down, with the approach to the mechanism if known [s]."""
+        """Duration of the motion if no limit slows it down [s]; it includes the approach if the start is known."""
         return self.pause + self._profile.duration + (0.0 if self._approach is None else self._approach[0].duration)
 
     def reset(self) -> None:
-        """Forget the start: the next call is the first one again."""
+        """Clear the start: the next call starts the motion again."""
         self.wanted = self._profile.distance
         self._course = None if self._start is None else Course(self._motion, self._start)
         self._start_time, self._latest = math.inf, -math.inf
@@ -162,7 +163,9 @@ class FreeDirection(SinglePassTask):
         self._place, self._ahead = 0.0, self._motion.driven
 
     def hold(self, q: ArrayLike) -> float:
-        """Return the distance of the hand from the start of the motion [m]; 0 if it is there, or if that is not known.
+        """Return the distance from the hand to the pose at which the motion starts [m].
+
+        It is 0 if the hand is there, or if the position of the mechanism is not known.
 
         Args:
             q: Posture.
@@ -188,14 +191,16 @@ class FreeDirection(SinglePassTask):
     def table(
         self, start: ArrayLike, period: float, fewest: int, most: int
     ) -> tuple[Float[np.ndarray, " L"], Float[np.ndarray, " L"], list[np.ndarray]]:
-        """Return the intended motion, from the grasp on: times [s], distances [m or rad] and goals (poses or
-        coordinates).
+        """Return a table of the planned motion from the grasp to its end, at evenly spaced times.
 
         Args:
             start: Posture before the motion.
-            period: Time between two entries [s], within `fewest` and `most`.
+            period: Time between two entries [s]; it is adapted so that the number of entries is in range.
             fewest: Smallest number of entries.
             most: Largest number of entries.
+
+        Returns:
+            Times (L,) [s], distances along the motion (L,) [m or rad], and L goals: poses (4, 4) or coordinates.
         """
         chart = self._motion.chart_at(self._find_start(start)[1])
         number = min(max(math.ceil(self._profile.duration / period) + 1, fewest), most)
@@ -204,12 +209,11 @@ class FreeDirection(SinglePassTask):
         return time, distance, [chart.pose((s,)) for s in distance.tolist()]
 
     def ascent(self, gain: float = policies.ASCENT_GAIN) -> policies.SampledPolicy:
-        """Return the policy that climbs the remaining room during the motion: of rows held and driven, and of joints'
-        ranges.
+        """Return the null-space policy that keeps the arm away from singularities and joint limits during the motion.
 
-        The held rows alone do not show how well the hand can move along the motion: their manipulability may rise while
-        the driven direction is being lost. The policy also turns the hand as demonstrated, where the orientation was
-        kept by habit (`KeptOrientation`).
+        It is a `RoomAscent` of the held and the driven rows, because the manipulability of the held rows alone may rise
+        while the driven direction is being lost. If the demonstrator kept the hand's orientation by habit, the policy
+        also turns the hand to the demonstrated orientation (`KeptOrientation`).
 
         Args:
             gain: Rate of the ascent [rad^2/s].
@@ -217,10 +221,10 @@ class FreeDirection(SinglePassTask):
         return self.as_kept(policies.RoomAscent(self.constraint, self._profile.speed, gain))
 
     def as_kept(self, policy: policies.SampledPolicy) -> policies.SampledPolicy:
-        """Return a policy plus the pull towards the demonstrated orientation, where that was kept by habit.
+        """Return a policy plus a pull towards the demonstrated orientation of the hand (`KeptOrientation`).
 
         Args:
-            policy: The policy; it is returned unchanged for other orientations.
+            policy: The policy; it is returned unchanged unless the demonstrator kept the orientation by habit.
         """
         mechanism, demo = self.learnt.mechanism, self.learnt.shown
         rms = 0.0 if mechanism is None or mechanism.grip != "kept" else math.radians(mechanism.orientation_rms or 0.0)
@@ -234,7 +238,7 @@ class FreeDirection(SinglePassTask):
         return policies.KeptOrientation(policy, self.learnt.features.twist, orientation, rms)
 
     def with_distance(self, distance: float) -> FreeDirection:
-        """Return this motion with another distance and without a start.
+        """Return a copy of this motion with another distance and without a start.
 
         Args:
             distance: Signed distance [m or rad].
@@ -242,7 +246,7 @@ class FreeDirection(SinglePassTask):
         return self._with(_profile=replace(self._profile, distance=_number("distance", distance, positive=False)))
 
     def slowed(self, times: float) -> FreeDirection:
-        """Return this motion slowed down and without a start.
+        """Return a slower copy of this motion, without a start.
 
         Args:
             times: Factor by which its speed is divided.
@@ -250,7 +254,7 @@ class FreeDirection(SinglePassTask):
         return self._with(_profile=replace(self._profile, speed=self._profile.peak / times))
 
     def taking_hold(self, grasp: Origin) -> FreeDirection:
-        """Return this motion from another grasp pose and without a start.
+        """Return a copy of this motion that starts from another grasp pose, and has no start posture.
 
         Args:
             grasp: Pose of the hand at the grasp (4, 4) in the base frame.
@@ -264,7 +268,9 @@ class FreeDirection(SinglePassTask):
         return other
 
     def progress(self, q: ArrayLike) -> float:
-        """Return the progress of the motion [m or rad]; 0 before it began, unless `start` was given.
+        """Return the distance along the motion that a posture has reached [m or rad].
+
+        It is 0 before the motion began, unless `start` was given.
 
         Args:
             q: Posture.
@@ -272,7 +278,7 @@ class FreeDirection(SinglePassTask):
         return 0.0 if self.way_begins is None and self._start_time < math.inf else self.progress_near(q, self._place)
 
     def meant(self, t: float) -> float:
-        """Return the intended progress of the motion at a time [m or rad]; 0 before it began.
+        """Return the planned distance along the motion at a time [m or rad]; 0 before the motion began.
 
         Args:
             t: Time [s].
@@ -280,16 +286,16 @@ class FreeDirection(SinglePassTask):
         return 0.0 if self.way_begins is None else self._profile.at(t - self.way_begins)[0]
 
     def progress_near(self, q: ArrayLike, near: float) -> float:
-        """Return the progress of a posture on the motion [m or rad].
+        """Return the distance along the motion that a posture has reached, near an estimate [m or rad].
 
         Args:
             q: Posture.
-            near: Estimate of the progress [m or rad]: of angles a turn apart the nearest one is returned.
+            near: Estimate [m or rad]; of all angles that differ by full turns, the nearest to it is returned.
         """
         return 0.0 if self._course is None else self._course.evaluate(q, near)[0]
 
     def is_over(self, q: ArrayLike, t: float) -> bool:
-        """Return True if the whole distance is covered, and the time of the motion is over.
+        """Return True if the whole distance is covered, to 1 mm or 0.2 degrees, and the planned duration has passed.
 
         Args:
             q: Posture.
@@ -299,35 +305,35 @@ class FreeDirection(SinglePassTask):
         return is_late and abs(self.wanted - self.progress(q)) <= DONE[self.unit]
 
     def deviation(self, q: ArrayLike, progress: float = 0.0) -> float:
-        """Return the deviation of the held rows, a norm [m or rad].
+        """Return the deviation of the held rows from their values on the motion, as a norm [m or rad].
 
         Args:
             q: Posture.
-            progress: Progress of the motion, at which the rows should be [m or rad].
+            progress: Distance along the motion at which the values are taken [m or rad].
         """
         return 0.0 if self._course is None else self._course.deviation(q, progress)
 
     def rows(self, constraint: Constraint) -> Constraint:
-        """Return the constrained rows and the driven one.
+        """Return the constraint with the held rows and the driven row.
 
         Args:
             constraint: The constraint of the task.
 
         Raises:
-            ConstraintError: Another constraint than the task's.
+            ConstraintError: The constraint is not the task's.
         """
         if constraint is not self.learnt and constraint is not self.constraint:
             raise ConstraintError("the task moves along another constraint: pass the same one to both")
         return self.constraint
 
     def velocity_and_jacobian(self, constraint: Constraint, q: np.ndarray, t: float) -> VelocityAndJacobian:
-        """Return b and E from a single evaluation of the pose: along the motion and towards it, from the hand's
-        position.
+        """Return the task's velocity b, and the Jacobian E of its error, from a single evaluation of the pose.
 
-        If limits or a singularity stop the motion, the goal does not move on without the hand.
+        The velocity leads along the motion, and back to it from a deviation. If limits or a singularity stop the hand,
+        its goal on the motion waits.
 
         Args:
-            constraint: The constraint of the task; it is not used.
+            constraint: Not used; the task's own constraint counts.
             q: Posture.
             t: Time [s].
         """
@@ -340,7 +346,7 @@ class FreeDirection(SinglePassTask):
         return rows.dot(rate * self._ahead - self.gain * off), None if E is None else rows.dot(E)
 
     def driven_rows(self, constraint: Constraint) -> Float[np.ndarray, "d s"]:
-        """Return the row along the motion, shape (1, s); all rows during the approach to the mechanism.
+        """Return the direction of the motion in terms of the rows, shape (1, s); all rows (s, s) during the approach.
 
         Args:
             constraint: The constraint of the controller.
@@ -351,7 +357,10 @@ class FreeDirection(SinglePassTask):
         return row[None] / math.sqrt(row.dot(row))
 
     def goal(self) -> Origin | None:
-        """Return the end of the motion, a position or a pose; None before the first call, unless `start` was given."""
+        """Return the end of the motion: the position in the rows' axes, a pose (4, 4), or coordinates.
+
+        It is None before the first call, unless `start` was given.
+        """
         if self._course is None:
             return None
         end, names = self._course.chart.pose((self.wanted,)), self.constraint.features.row_names
@@ -359,10 +368,10 @@ class FreeDirection(SinglePassTask):
         return end[[AXES.index(name) for name in names], 3] if is_place else end
 
     def error(self, constraint: Constraint, q: np.ndarray, t: float) -> float:
-        """Return the remaining distance and the deviation of the constrained coordinates, as one norm [m or rad].
+        """Return the norm of the remaining distance and the deviation of the held rows [m or rad].
 
         Args:
-            constraint: The constraint of the task; it is not used.
+            constraint: Not used; the task's own constraint counts.
             q: Posture.
             t: Time [s].
         """
@@ -435,42 +444,42 @@ def motion(
     """Return a task that moves the hand along a free direction of a constraint, and holds the constrained rows.
 
     Without a distance, angle and direction it reproduces the demonstrations: the hand grasps at the start pose of the
-    contacts, and moves in the same sense, by the same distance (the median), in the same time; on a surface it follows
-    the path of the most typical recording. Rows that the demonstrator moved on purpose (b unknown) go to the target of
-    the recordings.
+    contacts, and moves in the same direction, by the same distance (the median), in the same time; on a surface it
+    follows the path of the most typical recording. If the demonstrator moved the constrained rows on purpose to a
+    target (b is not known), the task goes to that target.
 
-    If the hand is not on the mechanism, it first moves straight to the start pose of the contacts; if these differ, to
-    the nearest one from which the motion stays within the demonstrated range (known for constraints that were learnt
-    with a loose grip). Where several translations are free, those across the motion are held.
+    If the hand is not on the mechanism, it first moves straight to the start pose of the contacts. If these differ, it
+    moves to the nearest one from which the motion stays within the demonstrated range (which is known for constraints
+    learnt with a loose grip). If several translations are free, those across the motion are held.
 
     Args:
-        constraint: Learnt or written by hand; the controller gets the same.
-        distance: Distance [m], for a line, a plane, or another mechanism that slides; positive as in the recordings,
-            and negative for the opposite sense. If no recording has a sense, the positive sense along a line is the
-            sense of the largest component of its direction.
-        angle: Angle [rad], for a hinge, a screw, a ball; positive as in the recordings, else right-handed about the
-            axis.
-        direction: Selects the direction, where several are free: on a plane three numbers, or one per row of the
-            features; for a ball the axis of the rotation; for a cylinder the name of a row (`"tangential"`, `"axial"`).
-            Or `"shown"`: the sense of the recordings, which must be known, and `"back"`: the opposite sense; that sense
-            then counts as positive.
-        speed: Largest rate [m/s or rad/s]; by default the speed of the recordings if the motion reproduces them, else
-            the hand moves at 0.1 m/s.
-        keep_orientation: The hand does not turn either, e.g. because a gripper has closed on a handle.
-        pause: Time at rest on the mechanism before the motion begins, as to close a gripper [s]; the null-space policy
-            uses it to leave a bad posture.
-        beyond_shown: Allow distances longer than the demonstrated range.
+        constraint: Constraint, learnt or written by hand; pass the same one to the controller.
+        distance: Distance [m], for a line, a plane, or another mechanism that slides; positive in the demonstrated
+            sense, negative for the opposite. If the demonstrations have no common sense, the positive sense along a
+            line is the one in which the largest component of its direction is positive.
+        angle: Angle [rad], for a hinge, a screw or a ball joint; positive in the demonstrated sense, or right-handed
+            about the axis if the demonstrations have no common sense.
+        direction: Direction of the motion, needed if several are free: on a plane three numbers, or one per row of the
+            features; for a ball joint the axis of the rotation in the base frame; for a cylinder the name of a row
+            (`"tangential"`, `"axial"`). `"shown"` is the demonstrated sense and `"back"` the opposite one; the selected
+            sense then counts as positive.
+        speed: Largest speed [m/s or rad/s]; by default the demonstrated speed if the motion reproduces the
+            demonstrations, otherwise 0.1 m/s at the hand.
+        keep_orientation: True to keep the orientation of the hand, too, e.g. because a gripper has closed on a handle.
+        pause: Time at rest on the mechanism before the motion begins, e.g. to close a gripper [s]; meanwhile the
+            null-space policy moves the arm to a better posture.
+        beyond_shown: True to allow distances longer than the demonstrated range.
         along: Former name of `distance`, valid until 0.4.
         turn: Former name of `angle`, valid until 0.4.
 
     Returns:
-        A `FreeDirection`; for rows that were moved on purpose a `PointAttractor`.
+        A `FreeDirection`; a `PointAttractor` if the demonstrator moved the rows on purpose to a target.
 
     Raises:
-        TargetError: Both `distance` and `angle`; neither, and the constraint has no demonstrated motion; an invalid
-            number, or more than the demonstrated range; a direction that is held.
-        ConstraintError: The mechanism does not move that way, no direction is free, or several are and none was named;
-            the message lists them. The sense of the recordings is not known.
+        TargetError: Both `distance` and `angle` are given; neither is given, and the constraint has no demonstrated
+            motion; a number is invalid, or exceeds the demonstrated range; the direction is held.
+        ConstraintError: The mechanism does not slide or does not turn; no direction is free, or several are and none
+            was selected (the message lists them); the demonstrated sense is needed and not known.
 
     >>> import manip_learn as ml
     >>> robot = ml.load_robot("sawyer")
@@ -550,16 +559,16 @@ def motion_to(
     """Return a task that turns a hand on a hinge or a screw until it is as near to a point as the mechanism allows.
 
     Args:
-        constraint: Rows of a mechanism.
-        point: shape (3,), in the base frame [m].
+        constraint: Constraint with the rows of a mechanism.
+        point: Point in the base frame, shape (3,) [m].
         q: Posture at the start, with the hand on the mechanism.
-        speed: As for `motion`.
-        keep_orientation: As for `motion`.
+        speed: Largest speed, see `motion` [rad/s].
+        keep_orientation: True to keep the orientation of the hand, too.
 
     Raises:
-        TargetError: Not three finite numbers, a hand that is not on the mechanism, or that is nearest to the point
-            already.
-        ConstraintError: A mechanism that does not turn about an axis.
+        TargetError: The point is not three finite numbers, the hand is not on the mechanism, or it is as near to the
+            point as possible already.
+        ConstraintError: The mechanism does not turn about an axis.
     """
     mechanism, twist = constraint.mechanism, constraint.features.twist
     if mechanism is None or mechanism.kind not in ("hinge", "screw"):
@@ -585,7 +594,7 @@ def motion_to(
 def null_policy(
     name: str, task: Task, constraint: Constraint, robot: Robot, gain: float | None, rest: ArrayLike | None
 ) -> policies.NullSpacePolicy:
-    """Return the null-space policy of a name on the command line.
+    """Return the null-space policy that a name on the command line selects.
 
     Args:
         name: `"manipulability"`, `"zero"` or `"attractor"`.

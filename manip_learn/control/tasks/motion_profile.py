@@ -19,7 +19,7 @@ class MotionProfile:
     speed / ramp. If the distance is too short to reach the speed, the ramps stay as long and the speed is lower.
 
     Attributes:
-        distance: [m or rad], negative for the opposite sense.
+        distance: Whole distance [m or rad], negative for the opposite sense.
         speed: Speed of the middle part, positive [m/s or rad/s].
         ramp: Time from rest to the speed [s].
     """
@@ -39,8 +39,9 @@ class MotionProfile:
         return abs(self.distance) / self.peak + self.ramp
 
     def at(self, t: float) -> tuple[float, float]:
-        """Return the distance covered [m or rad] and its rate [m/s or rad/s]; at rest before the start and after the
-        end.
+        """Return the distance covered [m or rad] and the speed [m/s or rad/s] at a time.
+
+        The speed is 0 before the start and after the end.
 
         Args:
             t: Time since the start [s].
@@ -62,11 +63,11 @@ class PathProfile(MotionProfile):
     less.
 
     Attributes:
-        distance: Along the path from its beginning [m].
-        speed: Largest rate of that [m/s].
-        ramp: Time in which the time of the recording accelerates to its rate [s].
-        times: shape (k,), of the recording, from 0 [s].
-        ways: shape (k,), distance along the path at these times [m].
+        distance: Length of the path [m].
+        speed: Largest speed along the path [m/s].
+        ramp: Time from rest until the path is followed at its demonstrated speed [s].
+        times: shape (k,), times of the recording, from 0 [s].
+        ways: shape (k,), distances along the path at these times [m].
     """
 
     times: Float[np.ndarray, " k"]
@@ -80,7 +81,7 @@ class PathProfile(MotionProfile):
 
     @property
     def peak(self) -> float:
-        """Largest rate of the distance [m/s]."""
+        """Largest speed along the path [m/s]."""
         return self.speed
 
     @property
@@ -89,7 +90,7 @@ class PathProfile(MotionProfile):
         return self._clock.duration
 
     def at(self, t: float) -> tuple[float, float]:
-        """Return the distance covered [m] and its rate [m/s].
+        """Return the distance covered [m] and the speed [m/s] at a time.
 
         Args:
             t: Time since the start [s].

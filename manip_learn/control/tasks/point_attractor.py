@@ -24,7 +24,7 @@ VelocityAndJacobian = tuple[Any, Float[np.ndarray, "s nv"] | None]
 
 
 class Task(ABC):
-    """b(q, t) of equation (1), A(q) u = b."""
+    """Base class of tasks: the velocity b(q, t) of the constrained rows in equation (1), A(q) u = b."""
 
     # True if an arm that is stopped by limits may leave the task's direction, to come as near to the goal as it can
     slides: bool = True
@@ -60,7 +60,7 @@ class Task(ABC):
         """
 
     def is_over(self, q: ArrayLike, t: float) -> bool:
-        """Return True if another task may follow; never, unless the task overrides this.
+        """Return True if the task is complete, so that another one may follow; by default always False.
 
         Args:
             q: Posture.
@@ -69,10 +69,12 @@ class Task(ABC):
         return False
 
     def reset(self) -> None:  # noqa: B027  most tasks remember nothing
-        """Forget the past, before another motion."""
+        """Clear the memory of previous calls, before another motion."""
 
     def rows(self, constraint: Constraint) -> Constraint:
-        """Return the constraint along whose rows b is given: the controller's, unless the task drives further rows.
+        """Return the constraint whose rows b refers to: by default the given one.
+
+        A task that drives further rows returns a constraint with these rows added; the controller then uses that one.
 
         Args:
             constraint: The learnt constraint.
@@ -80,10 +82,10 @@ class Task(ABC):
         return constraint
 
     def driven_rows(self, constraint: Constraint) -> Float[np.ndarray, "d s"]:
-        """Return orthonormal combinations of the rows that are driven; the rest of the rows is held, and gives way
-        last.
+        """Return orthonormal combinations of the rows that the task drives; by default all rows are driven.
 
-        By default all rows are driven. It is called after `velocity_and_jacobian`, for the same instant.
+        The combinations orthogonal to them are held: near singularities and at limits they are kept before the driven
+        ones. The controller calls this after `velocity_and_jacobian`, for the same instant.
 
         Args:
             constraint: The constraint of the controller, see `rows`.
@@ -94,11 +96,11 @@ class Task(ABC):
         return unit(constraint.n_constraints)
 
     def error_jacobian(self, constraint: Constraint, q: np.ndarray, t: float) -> Float[np.ndarray, "s nv"] | None:
-        """Return E with d/dt (error along the rows) = -E u for a goal at rest; None where E = A(q), as for positions.
+        """Return the Jacobian E of the task's error: for a goal at rest, the error's rate along the rows is -E u.
 
-        With E instead of A in u = E^+ b + N pi the error decays at the rate of the task, and motion in the null space
-        of E does not change it. The rate of an orientation error is not the angular velocity; at a target that is a
-        pose E = A again (see `FeatureMap.error_jacobian`).
+        It differs from A(q) for orientations, because the rate of a rotation vector is not the angular velocity; at the
+        target both are equal (see `FeatureMap.error_jacobian`). With E instead of A in u = E^+ b + N pi the error
+        decays at the rate of the task, and motion in the null space of E does not change the error.
 
         Args:
             constraint: The constraint of the controller, see `rows`.
@@ -106,19 +108,21 @@ class Task(ABC):
             t: Time [s].
 
         Returns:
-            shape (s, nv), or None.
+            shape (s, nv); None if E = A(q), as for positions.
         """
         return None
 
     def goal(self) -> Float[np.ndarray, "..."] | None:
-        """Return the target of the frame: numbers for features' rows (p,) or the constraint's (s,), or a pose.
+        """Return the target of the task.
 
-        None if there is no target, or if it depends on a start that is not known yet.
+        Returns:
+            One number per feature row (p,) or per constrained row (s,), or a pose (4, 4) of the frame. None if there is
+            no target, or if it depends on a start that is not known yet.
         """
         return None
 
     def velocity_and_jacobian(self, constraint: Constraint, q: np.ndarray, t: float) -> VelocityAndJacobian:
-        """Return b (s,) and E together, cheaper than one by one where a subclass shares work.
+        """Return `velocity` and `error_jacobian` together; a subclass may override this to compute them faster.
 
         Args:
             constraint: The constraint of the controller, see `rows`.
@@ -129,7 +133,7 @@ class Task(ABC):
 
 
 class SinglePassTask(Task):
-    """A task whose subclass defines only `velocity_and_jacobian`."""
+    """Base class of tasks that define `velocity_and_jacobian` alone; `velocity` and `error_jacobian` call it."""
 
     def velocity(self, constraint: Constraint, q: np.ndarray, t: float) -> Float[np.ndarray, " s"]:
         """Return b along the rows, shape (s,), in their units per second.
@@ -142,7 +146,7 @@ class SinglePassTask(Task):
         return self.velocity_and_jacobian(constraint, q, t)[0]
 
     def error_jacobian(self, constraint: Constraint, q: np.ndarray, t: float) -> Float[np.ndarray, "s nv"] | None:
-        """Return E with d/dt (error along the rows) = -E u for a goal at rest; None where E = A(q) (see `Task`).
+        """Return the Jacobian E of the task's error (s, nv); None if E = A(q) (see `Task.error_jacobian`).
 
         Args:
             constraint: The constraint of the controller, see `rows`.
@@ -154,7 +158,7 @@ class SinglePassTask(Task):
 
 @final
 class Hold(Task):
-    """b = 0: nothing moves along the constrained rows, all motion is in the null space."""
+    """Task b = 0: nothing moves along the constrained rows, all motion is in the null space."""
 
     def velocity(self, constraint: Constraint, q: np.ndarray, t: float) -> Float[np.ndarray, " s"]:
         """Return zeros, shape (s,).
@@ -191,19 +195,26 @@ class Hold(Task):
 @final
 @dataclass(frozen=True, eq=False, repr=False)
 class PointAttractor(Task):
-    """b = gain * Lambda (r* - r(q)), the reaching task of the paper's section on simulated experiments.
+    r"""Task that moves the tip to a target point or pose, the reaching task of the paper's simulated experiments.
+
+    .. math::
+
+        b = \text{gain} \, \Lambda \, (r^* - r(q))
+
+    with the target :math:`r^*`, and the features' coordinates :math:`r(q)` at the posture q.
 
     Args:
-        target: r*. As many numbers as the features have rows (e.g. x, y, z of the tip in the base frame [m]; rotations
-            as a rotation vector [rad]); Lambda selects its part of them. Or a 4 x 4 pose of the frame. Or one number
-            per constrained row, along the rows of Lambda, if the features have another number of rows.
+        target: Target :math:`r^*`, in one of three forms. One number per row of the features, e.g. x, y, z of the tip
+            in the base frame [m], rotations as a rotation vector [rad]; the selection matrix Lambda picks the
+            constrained part. Or a pose of the frame (4, 4). Or one number per row of Lambda, if the features have
+            another number of rows.
         gain: Rate [1/s].
         max_speed: Largest norm of b [m/s or rad/s]; None for no bound.
-        driven: `"held"` drives the rows of Lambda, as the paper does, and leaves the tip's position along the others to
-            the null-space policy; `"all"` drives every row of the features, so that the tip comes to the point.
+        driven: `"held"` drives the rows of Lambda, as the paper does, and leaves the tip's position along the other
+            rows to the null-space policy; `"all"` drives every row of the features, so that the tip reaches the point.
 
     Raises:
-        TargetError: Not finite numbers, or another word.
+        TargetError: The target is not finite numbers, or `driven` is another word.
 
     Example:
         >>> import manip_learn as ml
@@ -245,7 +256,7 @@ class PointAttractor(Task):
             constraint: The learnt constraint.
 
         Raises:
-            TargetError: All rows are to be driven, and the target has not a number for each of them.
+            TargetError: `driven` is `"all"`, and the target does not have one number per feature row.
         """
         if self.driven == "held":
             return constraint
@@ -260,7 +271,7 @@ class PointAttractor(Task):
         return every  # the same one at each call, so that a policy that climbs it shares the controller's work
 
     def displacement(self, constraint: Constraint, q: ArrayLike) -> Float[np.ndarray, " s"]:
-        """Return Lambda (r* - r(q)), shape (s,), in the rows' units.
+        """Return the displacement to the target along the constrained rows, Lambda (r* - r(q)), in their units (s,).
 
         Args:
             constraint: The constraint of the controller, see `rows`.
@@ -286,11 +297,11 @@ class PointAttractor(Task):
         return way, None if E is None else rows.dot(E)
 
     def goal(self) -> Float[np.ndarray, "..."] | None:
-        """Return the target."""
+        """Return the target as an array."""
         return self.target
 
     def error_jacobian(self, constraint: Constraint, q: np.ndarray, t: float) -> Float[np.ndarray, "s nv"] | None:
-        """Return E with d/dt displacement = -E u; None where E = A(q) (see `Task`).
+        """Return the Jacobian E of the displacement, whose rate is -E u; None if E = A(q) (see `Task.error_jacobian`).
 
         Args:
             constraint: The constraint of the controller, see `rows`.
@@ -300,7 +311,7 @@ class PointAttractor(Task):
         return self._toward(constraint, q)[1]
 
     def velocity(self, constraint: Constraint, q: np.ndarray, t: float) -> Float[np.ndarray, " s"]:
-        """Return gain * displacement, shape (s,), scaled down to max_speed.
+        """Return b = gain * `displacement`, scaled down to `max_speed`, shape (s,), in the rows' units per second.
 
         Args:
             constraint: The constraint of the controller, see `rows`.
@@ -310,7 +321,7 @@ class PointAttractor(Task):
         return self._attraction(self.displacement(constraint, q))
 
     def velocity_and_jacobian(self, constraint: Constraint, q: np.ndarray, t: float) -> VelocityAndJacobian:
-        """Return b and E from a single evaluation of the pose.
+        """Return `velocity` and `error_jacobian` from a single evaluation of the pose.
 
         Args:
             constraint: The constraint of the controller, see `rows`.
@@ -344,14 +355,20 @@ class PointAttractor(Task):
 
 @final
 class Track(SinglePassTask):
-    """b = gain * Lambda (r*(t) - r(q)) + Lambda dr*/dt: a moving target, followed without lag.
+    r"""Task that follows a moving target without lag.
 
-    A controller holds b for its period dt. The target's own velocity is therefore the mean one of that time: the rate
-    at its middle, or, if no rate is given, the displacement of the target in dt. `velocity` alone has no dt.
+    .. math::
+
+        b = \text{gain} \, \Lambda \, (r^*(t) - r(q)) + \Lambda \, \frac{dr^*}{dt}
+
+    A controller applies b for its period dt. The velocity of the target is therefore its mean during that time: the
+    rate at the middle of the step, or, if no rate is given, the displacement of the target divided by dt. `velocity`
+    does not get dt: without a `rate` it leaves out the velocity of the target.
 
     Args:
-        target: t [s] -> r*(t), numbers or a 4 x 4 pose, as for `PointAttractor`.
-        rate: t -> dr*/dt along the rows of the features, shape (p,); None derives it from the target.
+        target: Function of the time [s] that returns :math:`r^*(t)`, in one of the forms of `PointAttractor.target`.
+        rate: Function of the time [s] that returns :math:`dr^*/dt` along the rows of the features, shape (p,); None
+            derives it from the target.
         gain: Rate [1/s].
 
     Example:
@@ -377,7 +394,7 @@ class Track(SinglePassTask):
     def velocity_and_jacobian(
         self, constraint: Constraint, q: np.ndarray, t: float, dt: float = 0.0
     ) -> VelocityAndJacobian:
-        """Return b for a step, and E.
+        """Return the task's velocity b for a step (s,), and the Jacobian E of its error, or None if E = A(q).
 
         Args:
             constraint: The constraint of the controller, see `rows`.
@@ -394,7 +411,7 @@ class Track(SinglePassTask):
         return b, E
 
     def error(self, constraint: Constraint, q: np.ndarray, t: float) -> float:
-        """Return the distance to the target at a time along the constrained rows [m or rad].
+        """Return the distance to the target's position at time t along the constrained rows [m or rad].
 
         Args:
             constraint: The constraint of the controller, see `rows`.

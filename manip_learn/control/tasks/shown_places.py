@@ -20,12 +20,12 @@ from manip_learn.robot.rotations import angles_between, rotation_vector
 
 
 def shown_sense(shown: Shown | None, motion: DrivenMotion, *, of_most: bool = False) -> float:
-    """Return 1 if the demonstrations went to the positive side of a motion, -1 if to the other; 0 if that is not known.
+    """Return the sign of the demonstrated motions along a motion: 1 or -1, or 0 if it is not known.
 
     Args:
         shown: The demonstrated motions; None for none.
         motion: The motion along a free direction.
-        of_most: If demonstrations went to both sides, the side of most of them counts.
+        of_most: True to return the sign of most demonstrations if they went to both sides; False returns 0 then.
     """
     if shown is None or not shown.is_way or not (shown.one_way or of_most) or shown.unit != motion.unit:
         return 0.0
@@ -35,7 +35,7 @@ def shown_sense(shown: Shown | None, motion: DrivenMotion, *, of_most: bool = Fa
 
 
 def straight(start: Origin, end: Origin) -> Chart:
-    """Return the chart of a hand that moves straight from one pose (0) to another (1), and turns evenly meanwhile.
+    """Return the chart of a straight motion between two poses, with an even rotation; its coordinate is 0 to 1.
 
     Args:
         start: Pose of the hand (4, 4) in the base frame.
@@ -46,13 +46,13 @@ def straight(start: Origin, end: Origin) -> Chart:
 
 @final
 class DemonstratedStarts:
-    """Start poses of the demonstrations, relative to a motion along a free direction.
+    """Start poses of the demonstrations for a motion along a free direction.
 
-    A firm grip is taken as in the contact at which the hand is, else as in the typical one; a path as it
-    began.
+    With a firm grip, the hand starts at the start pose of the contact that is near the hand, or of the typical contact
+    if none is near. On a demonstrated path it starts at the start of that path.
 
     Args:
-        mechanism: Mechanism that constrains the hand.
+        mechanism: Mechanism that constrains the hand; None if it is not known.
         shown: The demonstrated motions.
         motion: The motion along a free direction.
         repeats: True if the hand repeats the demonstration: it moves to a start pose of the contacts even if it is on
@@ -77,7 +77,7 @@ class DemonstratedStarts:
         self._room = GRIP / lever  # largest distance of the start from the demonstrated motion, along it [m or rad]
 
     def with_grasp(self, grasp: Origin) -> DemonstratedStarts:
-        """Return these start poses, replaced by a single grasp pose.
+        """Return a copy in which a single grasp pose replaces all start poses.
 
         Args:
             grasp: Pose of the hand (4, 4) in the base frame.
@@ -93,7 +93,10 @@ class DemonstratedStarts:
         return np.vstack([self._shown.along(np.array([self._start_poses[0], begin]))[1] for begin in self._start_poses])
 
     def pose_distance(self, one: Origin, other: Origin) -> float:
-        """Return the distance of two poses [m]; if orientation counts, an angle counts at the lever of a hand.
+        """Return the distance between two poses [m].
+
+        If the grip fixes the orientation, an angle counts as a distance at a lever of 0.2 m; the larger of both
+        distances is returned.
 
         Args:
             one: Pose of the hand (4, 4).
@@ -106,13 +109,14 @@ class DemonstratedStarts:
     def nearest(self, here: Origin, distance: float) -> tuple[Origin, float]:
         """Return the pose at which the motion begins, and the distance of the hand from it [m].
 
-        It is a start pose of the contacts; for a motion back, its end. If the hand is on the mechanism already, it is
-        the hand's own pose; if the hand repeats the demonstration, only if it is near a start pose. If the contacts
-        began at different poses, it is the nearest of them from which the motion stays within the demonstrated range.
+        If the hand is on the mechanism already, the pose is the hand's own; if the hand repeats the demonstration, it
+        must also be near a start pose for that. Otherwise it is a start pose of the contacts (for a motion back: the
+        end of the motion from there). If the contacts began at different poses, it is the nearest one from which the
+        motion stays within the demonstrated range.
 
         Args:
             here: Pose of the hand (4, 4) in the base frame.
-            distance: Distance of the motion, signed [m or rad].
+            distance: Signed distance of the motion [m or rad].
         """
         if self._is_on_motion(here):
             return here, 0.0
