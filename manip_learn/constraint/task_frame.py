@@ -48,8 +48,8 @@ class TaskFrame:
             only if A has dependent rows.
         hand: Pose (4, 4) of the constrained frame of the robot, in the base [m].
         point: shape (3,), point of the hand whose velocity is meant by x y z, in the base [m]. It is the origin of the
-            task frame, except for a hand that may turn and does not pass through the mechanism's axis or centre: there
-            it is the constrained point of the hand.
+            task frame, except for a hand that may turn at a distance from the mechanism's axis or centre: there it is
+            the constrained point of the hand.
         turns: Motion of the axes when the arm moves: `"no"` for axes fixed in the base, `"hand"` for axes fixed in the
             hand, `"axis"` if an axis keeps pointing to the hand, `"other frame"` for axes fixed in another frame.
         frame: Name of the constrained frame of the robot.
