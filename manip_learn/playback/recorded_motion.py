@@ -178,7 +178,7 @@ def motion_tracks(robot: Robot, motion: GuidedMotion) -> list[dict[str, Any]]:
         motion: The motion.
 
     Returns:
-        One dictionary per quantity (track), with its name, unit, times and values.
+        One dictionary per quantity (track): its `kind`, `unit` and `curves`, and the joints that are left out.
     """
     fastest, low, high = robot.velocity_limit, robot.position_lower, robot.position_upper
     limited = np.isfinite(fastest) & (fastest > 0.0)
