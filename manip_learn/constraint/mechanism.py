@@ -536,7 +536,7 @@ def mechanism_of(kind: MechanismKind, place: Place, radius: float | None, **know
     """Build a mechanism from its kind, axis and point.
 
     Args:
-        kind: Its kind.
+        kind: Kind of the mechanism.
         place: Its axis, point and pitch; parameters that the kind does not have are ignored.
         radius: Distance of the hand from the axis or the centre [m]; None if it does not apply.
         known: Other attributes of `Mechanism`, which override the values from `kind` and `place`.

@@ -175,13 +175,13 @@ class PlaceWeights:
     free: Mapping[int, tuple[Float[np.ndarray, " 3"], float]] = field(default_factory=dict)
 
     def values(self, p: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n r 6"]:
-        """Return W(p) at n positions.
+        """Return the weight matrix W(p) at n positions of the hand's origin.
 
         Args:
             p: Positions (n, 3) [m].
 
         Returns:
-            shape (n, r, 6).
+            W, shape (n, r, 6).
         """
         W = self.constant + (p @ self.by_place.reshape(-1, 3).T).reshape(len(p), -1, 6)
         for i, (b, h) in self.free.items():
@@ -192,7 +192,7 @@ class PlaceWeights:
         return W
 
     def at(self, p: Float[np.ndarray, "n 3"]) -> tuple[Float[np.ndarray, "n r 6"], Float[np.ndarray, "n r 6 3"]]:
-        """Return W(p) and dW/dp at n positions.
+        """Return the weight matrix W(p) and its derivative at n positions of the hand's origin.
 
         Args:
             p: Positions (n, 3) [m].
@@ -398,18 +398,18 @@ class CurveWeights:
     names: tuple[str, ...]
 
     def values(self, p: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n r 6"]:
-        """Return W(p) at n positions.
+        """Return the weight matrix W(p) at n positions of the hand's origin.
 
         Args:
             p: Positions (n, 3) [m].
 
         Returns:
-            shape (n, r, 6).
+            W, shape (n, r, 6).
         """
         return self.at(p)[0]
 
     def at(self, p: Float[np.ndarray, "n 3"]) -> tuple[Float[np.ndarray, "n r 6"], Float[np.ndarray, "n r 6 3"]]:
-        """Return W(p) and dW/dp at n positions.
+        """Return the weight matrix W(p) and its derivative at n positions of the hand's origin.
 
         Args:
             p: Positions (n, 3) [m].

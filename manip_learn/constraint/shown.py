@@ -84,7 +84,8 @@ class Shown:
         least, most: Shortest and longest of these distances.
         span: Length of the interval that all contacts together cover along the path; of the longest contact if the hand
             turns with the mechanism. With several free directions, the longest distance.
-        speed: Mean speed on the way to the farthest point, median over the contacts [m/s or rad/s].
+        speed: Mean speed until the farthest point, or over the whole path if there are several free directions; median
+            over the contacts [m/s or rad/s].
         seconds: Time from the start of the motion to its farthest point, or to its end if there are several free
             directions; median over the contacts [s].
         back: True if the hand returned to the start.

@@ -212,7 +212,7 @@ class LearningReport:
         )
 
     def facts(self) -> dict[str, str]:
-        """Return the evidence in words; each number is given with the values that count as good.
+        """Return the evidence in words; each number is printed with its scale, e.g. which values are clear.
 
         Returns:
             Dictionary from the name of a fact to its text.

@@ -260,7 +260,7 @@ class Clearance:
             distance: Largest distance of a reported pair [m].
 
         Returns:
-            Nearest pair; None if the posture is clear.
+            Nearest pair; None if the configuration is free of collisions.
         """
         pairs = [p for p in self._pairs(q, distance) if p.distance <= min(distance, self.allowed(p.links))]
         return min(pairs, key=lambda pair: pair.distance, default=None)

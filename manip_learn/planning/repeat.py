@@ -48,7 +48,7 @@ class StepDone:
         margin: Smallest remaining share of the limits, see `Plan.margin`; None for a reach.
         stopped_by: Reason for stopping early, in words; None if the step was completed.
         fastest: Largest joint speed as a share of its limit, 0 to 1.
-        place: Position (3,) of the hand in the base frame [m]: at the grasp for a reach, at the end for a motion.
+        place: Final position (3,) of the hand in this step, in the base frame [m]; for a reach, the grasp.
         name: Name of the step in words.
         grasp: Pose (4, 4) of the hand at the grasp, in the base frame [m]; None for a retreat.
         off: Distance of the grasp from the nearest demonstrated grasp [m], or of the end of a retreat from the

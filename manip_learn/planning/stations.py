@@ -311,7 +311,7 @@ def margin_of(motion: FreeDirection, rollout: Rollout, begins: float | None, rob
 
     Args:
         motion: The motion.
-        rollout: Its simulation.
+        rollout: Simulated rollout of the motion.
         begins: Time in the rollout at which the hand reached the mechanism [s]; None if it did not.
         robot: Robot whose limits apply.
 

@@ -245,7 +245,7 @@ class LiveViewer(contextlib.AbstractContextManager["LiveViewer"]):
             time: Time [s]; None for the time since the viewer was created.
 
         Raises:
-            ConfigurationError: Wrong size, NaN or infinity.
+            ConfigurationError: q has the wrong size, or contains NaN or infinity.
         """
         robot = self._robot
         posture = np.array(robot.configuration(q))  # a copy: the caller may change its own array

@@ -407,7 +407,7 @@ class SelfCollision:
         """Return True if all pairs are farther apart than a distance; this takes a fifth of the time of `closer_than`.
 
         Args:
-            q: Configuration (nq) or joint positions (nv) [rad or m].
+            q: Configuration (nq,) or joint positions (nv,) [rad or m].
             distance: Distance that every pair must exceed [m].
 
         Raises:
@@ -435,7 +435,7 @@ class SelfCollision:
         """Return all pairs of shapes within a distance, with the gradients of their distances.
 
         Args:
-            q: Configuration (nq) or joint positions (nv) [rad or m].
+            q: Configuration (nq,) or joint positions (nv,) [rad or m].
             distance: Largest distance of a returned pair [m].
             only: Indices in `pairs` to check; None for all.
 
@@ -454,7 +454,7 @@ class SelfCollision:
         """Return the distances of some pairs [m], negative for shapes that overlap.
 
         Args:
-            q: Configuration (nq) or joint positions (nv) [rad or m].
+            q: Configuration (nq,) or joint positions (nv,) [rad or m].
             only: Indices of the pairs in `pairs`.
         """
         _, geometry_data, far = self._place_shapes(q, bounded=False)
@@ -464,7 +464,7 @@ class SelfCollision:
         """Return the pair of shapes at the smallest distance; None if there are no pairs. See `closer_than`.
 
         Args:
-            q: Configuration (nq) or joint positions (nv) [rad or m].
+            q: Configuration (nq,) or joint positions (nv,) [rad or m].
         """
         data, geometry_data, far = self._place_shapes(q)
         best, pair, least = None, -1, np.inf

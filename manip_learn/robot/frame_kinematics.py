@@ -227,7 +227,7 @@ class FrameKinematics:
         """Return the position (3,) of the frame's origin in the robot's base frame [m].
 
         Args:
-            q: Configuration (nq) or joint positions (nv) [rad or m].
+            q: Configuration (nq,) or joint positions (nv,) [rad or m].
         """
         return self._pass_at(q).position.copy()
 
@@ -235,7 +235,7 @@ class FrameKinematics:
         """Return position and orientation of the frame in the robot's base frame.
 
         Args:
-            q: Configuration (nq) or joint positions (nv) [rad or m].
+            q: Configuration (nq,) or joint positions (nv,) [rad or m].
 
         Returns:
             Position (3,) [m] and rotation matrix (3, 3). The arrays are views that the next call overwrites.
@@ -247,7 +247,7 @@ class FrameKinematics:
         """Return the pose (4, 4) of the frame in the robot's base frame [m].
 
         Args:
-            q: Configuration (nq) or joint positions (nv) [rad or m].
+            q: Configuration (nq,) or joint positions (nv,) [rad or m].
         """
         last, out = self._pass_at(q), np.eye(4)
         out[:3, :3], out[:3, 3] = last.rotation, last.position
@@ -257,7 +257,7 @@ class FrameKinematics:
         """Return the frame Jacobian (6, nv), linear rows first [m/s, rad/s per unit joint velocity], as a new array.
 
         Args:
-            q: Configuration (nq) or joint positions (nv) [rad or m].
+            q: Configuration (nq,) or joint positions (nv,) [rad or m].
             reference: Along the base axes (`"world"`) or the frame's own (`"local"`).
         """
         J = self._model_jacobian(q, reference)
@@ -277,7 +277,7 @@ class FrameKinematics:
         """Return the frame Jacobian J and its exact derivative.
 
         Args:
-            q: Configuration (nq) or joint positions (nv) [rad or m].
+            q: Configuration (nq,) or joint positions (nv,) [rad or m].
             reference: Along the base axes (`"world"`) or the frame's own (`"local"`).
 
         Returns:
@@ -328,7 +328,7 @@ class FrameKinematics:
             q: Configurations (n, nq) or joint positions (n, nv) [rad or m], one per row.
 
         Raises:
-            ConfigurationError: Wrong size or not finite; names the first bad row and joint.
+            ConfigurationError: q has the wrong size or is not finite; names the first bad row and joint.
         """
         return self._sweep(q)[1].copy()
 
@@ -343,7 +343,7 @@ class FrameKinematics:
             rows: Rows to return: x y z rx ry rz as 0 .. 5.
 
         Raises:
-            ConfigurationError: Wrong size or not finite; names the first bad row and joint.
+            ConfigurationError: q has the wrong size or is not finite; names the first bad row and joint.
         """
         J = self._rotate_to(*self._sweep(q), reference)[:, list(rows)]
         return J if self._lift is None else J @ self._lift
@@ -369,7 +369,7 @@ class FrameKinematics:
             k.
 
         Raises:
-            ConfigurationError: Wrong size or not finite; names the first bad row and joint.
+            ConfigurationError: q has the wrong size or is not finite; names the first bad row and joint.
         """
         J, selected = self._rotate_to(*self._sweep(q), reference), list(rows)
         parts = [J[i : i + DERIVATIVE_CHUNK] for i in range(0, max(len(J), 1), DERIVATIVE_CHUNK)]

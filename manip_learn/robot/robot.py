@@ -134,7 +134,7 @@ class Robot:
             name: Name of a link or joint; a `Frame` is returned as it is.
 
         Raises:
-            UnknownNameError: No such frame; lists near matches.
+            UnknownNameError: The frame does not exist; lists near matches.
         """
         if type(name) is Frame:
             return name
@@ -154,7 +154,7 @@ class Robot:
             name: One of `joint_names`.
 
         Raises:
-            UnknownNameError: No such joint; lists near matches.
+            UnknownNameError: The joint does not exist; lists near matches.
         """
         if name in self.joint_names:
             return self.joint_names.index(name)
@@ -167,7 +167,7 @@ class Robot:
             frame: Name of the frame, or the frame.
 
         Raises:
-            UnknownNameError: No such frame; lists near matches.
+            UnknownNameError: The frame does not exist; lists near matches.
         """
         tip, model = self.frame(frame), self.pinocchio_model
         links = [model.jointPlacements[j].translation for j in model.supports[tip.parent_joint] if j]
@@ -185,7 +185,7 @@ class Robot:
             frame: Name of the frame, or the frame.
 
         Raises:
-            UnknownNameError: No such joint or frame; lists near matches.
+            UnknownNameError: The joint or the frame does not exist; lists near matches.
         """
         index = self.joint_index(joint)
         block = next(b for b in self.blocks if b.v.start <= index < b.v.stop)
@@ -199,10 +199,10 @@ class Robot:
         """Convert a posture to a configuration (nq,); (cos, sin) pairs and quaternions are normalised.
 
         Args:
-            q: Configuration (nq) or joint positions (nv) [rad or m].
+            q: Configuration (nq,) or joint positions (nv,) [rad or m].
 
         Raises:
-            ConfigurationError: Wrong size, NaN, infinity, or a (cos, sin) or quaternion of length zero.
+            ConfigurationError: q has the wrong size, NaN, infinity, or a (cos, sin) or quaternion of length zero.
         """
         vector = self.checked_posture(q)
         if self.nq == self.nv:
@@ -226,13 +226,13 @@ class Robot:
         """Check that a posture has the right size and finite numbers.
 
         Args:
-            q: Configuration (nq) or joint positions (nv) [rad or m].
+            q: Configuration (nq,) or joint positions (nv,) [rad or m].
 
         Returns:
             The same vector, as a float64 array.
 
         Raises:
-            ConfigurationError: Wrong size, NaN, infinity, or a (cos, sin) or quaternion of length zero.
+            ConfigurationError: q has the wrong size, NaN, infinity, or a (cos, sin) or quaternion of length zero.
         """
         if type(q) is np.ndarray and q.shape == self._shape and q.dtype is DOUBLE and q.flags.c_contiguous:
             if math.isfinite(sum(q.tolist())):
@@ -296,14 +296,14 @@ class Robot:
         """Convert a posture to joint positions.
 
         Args:
-            q: Configuration (nq) or joint positions (nv) [rad or m].
+            q: Configuration (nq,) or joint positions (nv,) [rad or m].
 
         Returns:
             Joint positions (nv,) [rad or m]. From a configuration, continuous joints are in (-pi, pi] and orientations
             are rotation vectors; joint positions are returned unchanged, with their full turns.
 
         Raises:
-            ConfigurationError: Wrong size or not finite.
+            ConfigurationError: q has the wrong size or is not finite.
         """
         vector = self.checked_posture(q)
         if vector.shape[0] == self.nv:
@@ -333,7 +333,7 @@ class Robot:
             are returned unchanged.
 
         Raises:
-            ConfigurationError: Wrong size or not finite; names the first bad row and joint.
+            ConfigurationError: q has the wrong size or is not finite; names the first bad row and joint.
         """
         table = self.checked_postures(q)
         if table.shape[1] == self.nv:
@@ -372,14 +372,14 @@ class Robot:
         """Return the posture after a displacement in the tangent space.
 
         Args:
-            q: Configuration (nq) or joint positions (nv) [rad or m].
-            v: Displacement (nv) [rad or m].
+            q: Configuration (nq,) or joint positions (nv,) [rad or m].
+            v: Displacement (nv,) [rad or m].
 
         Returns:
             Configuration or joint positions, whichever `q` is [rad or m].
 
         Raises:
-            ConfigurationError: Wrong size or not finite.
+            ConfigurationError: q or v has the wrong size or is not finite.
         """
         vector = self.checked_posture(q)
         step = self.velocity(v)
@@ -393,11 +393,11 @@ class Robot:
         """Return the tangent vector (nv,) from one posture to another along the shortest path [rad or m].
 
         Args:
-            q0: Configuration (nq) or joint positions (nv) at the start.
-            q1: Configuration (nq) or joint positions (nv) at the end.
+            q0: Configuration (nq,) or joint positions (nv,) at the start.
+            q1: Configuration (nq,) or joint positions (nv,) at the end.
 
         Raises:
-            ConfigurationError: Wrong size or not finite.
+            ConfigurationError: q0 or q1 has the wrong size or is not finite.
         """
         both = (self._expanded(self.configuration(q)) for q in (q0, q1))
         return pin.difference(self.pinocchio_model, *both)[self._columns]
@@ -406,13 +406,13 @@ class Robot:
         """Check that joint velocities have the right size and finite numbers.
 
         Args:
-            v: Joint velocities (nv) [rad/s or m/s].
+            v: Joint velocities (nv,) [rad/s or m/s].
 
         Returns:
             The same velocities, as a float64 array.
 
         Raises:
-            ConfigurationError: Wrong size or not finite.
+            ConfigurationError: v has the wrong size or is not finite.
         """
         return self._checked(v, "a velocity", 1, (self.nv,))
 
@@ -420,10 +420,10 @@ class Robot:
         """Convert a posture to the configuration of the underlying Pinocchio model, including mimic joints.
 
         Args:
-            q: Configuration (nq) or joint positions (nv) [rad or m].
+            q: Configuration (nq,) or joint positions (nv,) [rad or m].
 
         Raises:
-            ConfigurationError: Wrong size or not finite.
+            ConfigurationError: q has the wrong size or is not finite.
         """
         vector = self.checked_posture(q)
         if self._plain:
@@ -453,7 +453,7 @@ class Robot:
             frame: Name of the frame, or the frame.
 
         Raises:
-            UnknownNameError: No such frame; lists near matches.
+            UnknownNameError: The frame does not exist; lists near matches.
         """
         if type(frame) is not Frame:
             frame = self.frame(frame)
@@ -464,12 +464,12 @@ class Robot:
         """Return the pose of a frame in the robot's base frame, as a homogeneous matrix (4, 4) [m].
 
         Args:
-            q: Configuration (nq) or joint positions (nv) [rad or m].
+            q: Configuration (nq,) or joint positions (nv,) [rad or m].
             frame: Name of the frame, or the frame.
 
         Raises:
-            ConfigurationError: Wrong size or not finite.
-            UnknownNameError: No such frame; lists near matches.
+            ConfigurationError: q has the wrong size or is not finite.
+            UnknownNameError: The frame does not exist; lists near matches.
         """
         return self.frame_kinematics(frame).pose(q)
 
@@ -479,12 +479,12 @@ class Robot:
         """Return the position (3,) of a frame's origin in the robot's base frame [m].
 
         Args:
-            q: Configuration (nq) or joint positions (nv) [rad or m].
+            q: Configuration (nq,) or joint positions (nv,) [rad or m].
             frame: Name of the frame, or the frame.
 
         Raises:
-            ConfigurationError: Wrong size or not finite.
-            UnknownNameError: No such frame; lists near matches.
+            ConfigurationError: q has the wrong size or is not finite.
+            UnknownNameError: The frame does not exist; lists near matches.
         """
         return self.frame_kinematics(frame).position(q)
 
@@ -492,7 +492,7 @@ class Robot:
         """Return the frame Jacobian, linear rows first.
 
         Args:
-            q: Configuration (nq) or joint positions (nv) [rad or m].
+            q: Configuration (nq,) or joint positions (nv,) [rad or m].
             frame: Name of the frame, or the frame.
             reference: Along the base axes (`"world"`) or along the frame's own axes (`"local"`).
 
@@ -501,8 +501,8 @@ class Robot:
             velocity.
 
         Raises:
-            ConfigurationError: Wrong size or not finite.
-            UnknownNameError: No such frame; lists near matches.
+            ConfigurationError: q has the wrong size or is not finite.
+            UnknownNameError: The frame does not exist; lists near matches.
         """
         return self.frame_kinematics(frame).jacobian(q, reference)
 
@@ -512,7 +512,7 @@ class Robot:
         """Return the frame Jacobian J and its exact derivative dJ/dq.
 
         Args:
-            q: Configuration (nq) or joint positions (nv) [rad or m].
+            q: Configuration (nq,) or joint positions (nv,) [rad or m].
             frame: Name of the frame, or the frame.
             reference: Along the base axes (`"world"`) or along the frame's own axes (`"local"`).
 
@@ -520,8 +520,8 @@ class Robot:
             J (6, nv), and dJ/dq (6, nv, nv) with the entry [i, j, k] = d J_ij / d q_k along tangent coordinate k.
 
         Raises:
-            ConfigurationError: Wrong size or not finite.
-            UnknownNameError: No such frame; lists near matches.
+            ConfigurationError: q has the wrong size or is not finite.
+            UnknownNameError: The frame does not exist; lists near matches.
         """
         return self.frame_kinematics(frame).jacobian_and_derivative(q, reference)
 
@@ -547,10 +547,10 @@ class Robot:
         """Return the centre of mass (3,) of the moving links in the base frame [m].
 
         Args:
-            q: Configuration (nq) or joint positions (nv) [rad or m].
+            q: Configuration (nq,) or joint positions (nv,) [rad or m].
 
         Raises:
-            ConfigurationError: Wrong size or not finite.
+            ConfigurationError: q has the wrong size or is not finite.
         """
         return pin.centerOfMass(self.pinocchio_model, self._data, self.pinocchio_configuration(q)).copy()
 
@@ -560,14 +560,14 @@ class Robot:
         """Return the Jacobian of the centre of mass and its exact derivative.
 
         Args:
-            q: Configuration (nq) or joint positions (nv) [rad or m].
+            q: Configuration (nq,) or joint positions (nv,) [rad or m].
 
         Returns:
             Jacobian J (3, nv) along the base axes [m/s per unit joint velocity], and its derivative (3, nv, nv) with
             the entry [i, j, k] = d J_ij / d q_k along tangent coordinate k.
 
         Raises:
-            ConfigurationError: Wrong size or not finite.
+            ConfigurationError: q has the wrong size or is not finite.
         """
         model, data = self.pinocchio_model, self._data
         Jc = np.array(pin.jacobianCenterOfMass(model, data, self.pinocchio_configuration(q))).reshape(3, model.nv)
@@ -584,14 +584,14 @@ class Robot:
         They are the product of the joint-space inertia matrix M(q) and the acceleration.
 
         Args:
-            q: Configuration (nq) or joint positions (nv) [rad or m].
+            q: Configuration (nq,) or joint positions (nv,) [rad or m].
             acceleration: Joint accelerations (nv,) [rad/s^2 or m/s^2].
 
         Returns:
             Efforts (nv,) [N m or N]; zero for a description without masses.
 
         Raises:
-            ConfigurationError: Wrong size or not finite.
+            ConfigurationError: q has the wrong size or is not finite.
         """
         model, data, x, a = self.pinocchio_model, self._data, self.pinocchio_configuration(q), acceleration
         lift = None if self.coupling is None else self.coupling.lift
@@ -609,7 +609,7 @@ class Robot:
 
         Raises:
             ConfigurationError: The mass is negative or not finite, or the centre is not three finite numbers.
-            UnknownNameError: No such frame; lists near matches.
+            UnknownNameError: The frame does not exist; lists near matches.
         """
         place = finite(centre, 3)
         if not 0.0 <= mass < math.inf or place is None:
@@ -627,13 +627,13 @@ class Robot:
         """Return the joint efforts that compensate gravity, for a base whose z axis points up.
 
         Args:
-            q: Configuration (nq) or joint positions (nv) [rad or m].
+            q: Configuration (nq,) or joint positions (nv,) [rad or m].
 
         Returns:
             Efforts (nv,) [N m or N]; zero for a description without masses.
 
         Raises:
-            ConfigurationError: Wrong size or not finite.
+            ConfigurationError: q has the wrong size or is not finite.
         """
         effort = pin.computeGeneralizedGravity(self.pinocchio_model, self._data, self.pinocchio_configuration(q))
         return effort.copy() if self.coupling is None else self.coupling.lift.T @ effort
@@ -649,15 +649,15 @@ class Robot:
             (J \, M(q)^{-1} J^T)^{-1}
 
         Args:
-            q: Configuration (nq) or joint positions (nv) [rad or m].
+            q: Configuration (nq,) or joint positions (nv,) [rad or m].
             frame: Name of the frame, or the frame.
 
         Returns:
             Inertia matrix (6, 6), linear rows first [kg, kg m, kg m^2]; None if a moving link has no mass.
 
         Raises:
-            ConfigurationError: Wrong size or not finite.
-            UnknownNameError: No such frame; lists near matches.
+            ConfigurationError: q has the wrong size or is not finite.
+            UnknownNameError: The frame does not exist; lists near matches.
         """
         if not all(inertia.mass > 0.0 for inertia in list(self.pinocchio_model.inertias)[1:]):
             return None

@@ -155,7 +155,7 @@ class FeatureMap(ABC):
             e (p,) and E (p, nv); None instead of E if it is Phi(q) itself.
 
         Raises:
-            TargetError: Wrong size or not finite.
+            TargetError: The target has the wrong size or is not finite.
             FeatureError: The rows have no coordinates.
         """
         return self._goal(target) - self.coordinates(q), self.coordinates_jacobian(q)
@@ -171,7 +171,7 @@ class FeatureMap(ABC):
             Displacement (p,), in the units of the coordinates.
 
         Raises:
-            TargetError: Wrong size or not finite.
+            TargetError: The target has the wrong size or is not finite.
             FeatureError: The rows have no coordinates.
         """
         return self.error_and_jacobian(target, q)[0]
@@ -187,7 +187,7 @@ class FeatureMap(ABC):
             E (p, nv), or None if it is Phi(q) itself.
 
         Raises:
-            TargetError: Wrong size or not finite.
+            TargetError: The target has the wrong size or is not finite.
             FeatureError: The rows have no coordinates.
         """
         return self.error_and_jacobian(target, q)[1]
@@ -196,7 +196,7 @@ class FeatureMap(ABC):
         """Return a target as numbers in the order of the rows.
 
         Raises:
-            TargetError: Wrong size or not finite.
+            TargetError: The target has the wrong size or is not finite.
         """
         goal = np.asarray(target, dtype=np.float64)
         if goal.shape != (self.n_rows,) or not np.all(np.isfinite(goal)):

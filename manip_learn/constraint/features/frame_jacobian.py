@@ -192,7 +192,7 @@ class PoseRows(FeatureMap):
             shape (4, 4) [m].
 
         Raises:
-            ConfigurationError: Wrong size or not finite.
+            ConfigurationError: q has the wrong size or is not finite.
         """
         pose = self.robot.pose(q, self.frame)
         return pose if self.relative_to is None else np.linalg.inv(self.robot.pose(q, self.relative_to)) @ pose
@@ -230,7 +230,7 @@ class PoseRows(FeatureMap):
             q: Joint configuration (nq,) or positions (nv,) [rad or m].
 
         Raises:
-            ConfigurationError: Wrong size or not finite.
+            ConfigurationError: q has the wrong size or is not finite.
         """
         return self.twist_rows(q, self.own_axes)[self._rows]
 
@@ -357,8 +357,8 @@ class FrameJacobian(PoseRows):
         reference: `"world"` or `"local"`.
 
     Raises:
-        UnknownNameError: No such frame; lists near matches.
-        FeatureError: Unknown axes or reference, or arguments in the wrong order.
+        UnknownNameError: The frame does not exist; lists near matches.
+        FeatureError: The axes or the reference are unknown, or the arguments are in the wrong order.
 
     Example:
         >>> import manip_learn as ml
@@ -418,7 +418,7 @@ class FrameJacobian(PoseRows):
             shape (n, p, nv).
 
         Raises:
-            ConfigurationError: Wrong size or not finite; names the first bad row and joint.
+            ConfigurationError: q has the wrong size or is not finite; names the first bad row and joint.
         """
         return self._kinematics.jacobians(q, self.reference, self._row_numbers)
 
@@ -432,7 +432,7 @@ class FrameJacobian(PoseRows):
             Phi (n, p, nv) and dPhi/dq (n, p, nv, nv).
 
         Raises:
-            ConfigurationError: Wrong size or not finite; names the first bad row and joint.
+            ConfigurationError: q has the wrong size or is not finite; names the first bad row and joint.
         """
         return self._kinematics.jacobians_and_derivatives(q, self.reference, self._row_numbers)
 
@@ -484,8 +484,8 @@ class RelativeFrameJacobian(PoseRows):
         axes: `"xyz"`, `"pose"` (all six), `"planar"`, `"rotation"`, or any of `x y z rx ry rz`.
 
     Raises:
-        UnknownNameError: No such frame; lists near matches.
-        FeatureError: Unknown axes, or `frame` and `relative_to` are the same frame.
+        UnknownNameError: The frame does not exist; lists near matches.
+        FeatureError: The axes are unknown, or `frame` and `relative_to` are the same frame.
     """
 
     kind = "relative-frame-jacobian"
@@ -518,7 +518,7 @@ class RelativeFrameJacobian(PoseRows):
             shape (n, p, nv).
 
         Raises:
-            ConfigurationError: Wrong size or not finite; names the first bad row and joint.
+            ConfigurationError: q has the wrong size or is not finite; names the first bad row and joint.
         """
         both = (self.robot.frame_kinematics(frame) for frame in (self.frame, self.relative_to))
         return _relative_rows(*[(each.poses(q), each.jacobians(q)) for each in both])[0][:, self._rows]
@@ -533,7 +533,7 @@ class RelativeFrameJacobian(PoseRows):
             Phi (n, p, nv) and dPhi/dq (n, p, nv, nv).
 
         Raises:
-            ConfigurationError: Wrong size or not finite; names the first bad row and joint.
+            ConfigurationError: q has the wrong size or is not finite; names the first bad row and joint.
         """
         both = (self.robot.frame_kinematics(frame) for frame in (self.frame, self.relative_to))
         Phi, dPhi = _relative_rows(*[(each.poses(q), *each.jacobians_and_derivatives(q)) for each in both])

@@ -93,7 +93,7 @@ class WeighedVelocity(FeatureMap):
             q: Joint configuration (nq,) or positions (nv,) [rad or m].
 
         Raises:
-            ConfigurationError: Wrong size or not finite.
+            ConfigurationError: q has the wrong size or is not finite.
         """
         return self.place_weights.values(self.twist.placement(q)[0][None])[0] @ self.twist(q)
 
@@ -119,7 +119,7 @@ class WeighedVelocity(FeatureMap):
             shape (n, p, nv).
 
         Raises:
-            ConfigurationError: Wrong size or not finite; names the first bad row and joint.
+            ConfigurationError: q has the wrong size or is not finite; names the first bad row and joint.
         """
         return self.weights_at(self.twist.poses(q)) @ self.twist.batch(q)
 
@@ -133,7 +133,7 @@ class WeighedVelocity(FeatureMap):
             Phi (n, p, nv) and dPhi/dq (n, p, nv, nv).
 
         Raises:
-            ConfigurationError: Wrong size or not finite; names the first bad row and joint.
+            ConfigurationError: q has the wrong size or is not finite; names the first bad row and joint.
         """
         W, dW = self.place_weights.at(self.twist.poses(q)[:, :3, 3])
         return _product(W, dW, *self.twist.batch_with_derivative(q))
@@ -191,8 +191,8 @@ class MechanismRows(WeighedVelocity):
             robot's base.
 
     Raises:
-        UnknownNameError: No such frame; lists near matches.
-        FeatureError: Unknown rows, or an invalid axis, point, pitch or radius.
+        UnknownNameError: The frame does not exist; lists near matches.
+        FeatureError: A row name is unknown, or the axis, point, pitch or radius is invalid.
     """
 
     kind = "mechanism-rows"
@@ -374,7 +374,7 @@ class PlaceRows(WeighedVelocity):
             robot's base.
 
     Raises:
-        UnknownNameError: No such frame; lists near matches.
+        UnknownNameError: The frame does not exist; lists near matches.
         FeatureError: The form is not one of the four, or the middle is not three finite numbers.
     """
 
@@ -485,8 +485,8 @@ class CurveRows(WeighedVelocity):
             robot's base.
 
     Raises:
-        UnknownNameError: No such frame; lists near matches.
-        FeatureError: Unknown rows, or points that do not define a curve.
+        UnknownNameError: The frame does not exist; lists near matches.
+        FeatureError: A row name is unknown, or the points do not define a curve.
     """
 
     kind = "curve-rows"

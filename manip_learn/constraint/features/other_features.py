@@ -26,7 +26,7 @@ class CentreOfMass(FeatureMap):
         axes: Rows to include, any of `x y z`: a string with spaces or a sequence.
 
     Raises:
-        FeatureError: Unknown axes, or a robot without mass.
+        FeatureError: The axes are unknown, or the robot has no mass.
     """
 
     kind, saved, own_axes = "centre-of-mass", {"axes": "row_names"}, False

@@ -49,7 +49,7 @@ def find_robot(name: str) -> Path:
         name: Name of the robot; capitals, hyphens and spaces are ignored, e.g. `SO-101` is `so101`.
 
     Raises:
-        UnknownNameError: No such robot; lists near matches.
+        UnknownNameError: There is no such robot; lists near matches.
         MissingExtraError: The robot is in a package that is not installed.
         RobotError: The robot cannot be downloaded.
     """
