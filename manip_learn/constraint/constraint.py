@@ -221,7 +221,7 @@ class Constraint:
         return Constraint(selection, features, provenance)
 
     def __call__(self, q: ArrayLike) -> Float[np.ndarray, "s nv"]:
-        """Return A(q).
+        """Evaluate the constraint matrix A(q) = Lambda Phi(q).
 
         Args:
             q: Joint configuration (nq,) or positions (nv,) [rad or m].

@@ -78,13 +78,13 @@ class Place:
 
 
 def across(axis: Float[np.ndarray, " 3"]) -> Float[np.ndarray, "2 3"]:
-    """Return two unit vectors that complete a unit vector to a right-handed orthonormal basis (first, second, axis).
+    """Return two unit vectors across an axis; the two and the axis form a right-handed orthonormal basis in this order.
 
     Args:
-        axis: Unit vector.
+        axis: Unit vector (3,).
 
     Returns:
-        shape (2, 3).
+        The two vectors as rows, shape (2, 3).
     """
     a = axis.tolist()  # floats are faster than arrays for three numbers
     least = min(range(3), key=lambda i: abs(a[i]))

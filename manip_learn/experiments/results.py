@@ -77,7 +77,7 @@ def number(value: float | None, digits: int = 2) -> str:
 
 
 def mean_and_sd(statistics: Mapping[str, Any]) -> str:
-    """Return `mean +- s.d.` of a summary.
+    """Format mean and standard deviation of a summary as text, `mean +- s.d.`.
 
     Args:
         statistics: Result of `summary`.

@@ -189,7 +189,7 @@ def _recordings(folder: str) -> Demonstrations:
 
 
 class SawyerResult(TrialsResult):
-    """Outcome of every trial, see `sawyer_trial`; a case is its source, its reading and its direction."""
+    """Outcomes of all trials of each `SawyerCase`, see `sawyer_trial`."""
 
     def to_dict(self) -> dict[str, Any]:
         """Return the paper's numbers (`paper`) and statistics of all trials (`ours`) as a dictionary."""

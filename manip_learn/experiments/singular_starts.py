@@ -102,7 +102,7 @@ class StartResult:
         """Draw the arm over time above and the manipulability over time below; the last column is our controller.
 
         Returns:
-            The figure, by the name of the comparison.
+            Dictionary from the name of the comparison to the figure.
         """
         leap = "\n(chaotic after the first step)" if self.rounding else ""
         columns = {f"paper's law, {p} policy{leap}": [self.rollouts[law_name(p, dt)] for dt in STEPS] for p in POLICIES}

@@ -59,7 +59,7 @@ def fit_row_by_row(Phi: Float[np.ndarray, "n p nv"], w: Float[np.ndarray, "n nv"
 
 
 def unit_vector(angles: Float[np.ndarray, " k"]) -> Float[np.ndarray, " k+1"]:
-    """Return the point of the unit sphere (k+1,) with the given spherical angles.
+    """Return the unit vector (k + 1,) with the given spherical angles.
 
     Args:
         angles: Spherical angles (k,) [rad].

@@ -329,12 +329,12 @@ class Gate:
         return recombination_test(view.features, list(pieces.values()), self.seed, choices, self.believed)
 
     def __call__(self, view: View, h: Hypothesis, stretches: Sequence[Stretch]) -> bool:
-        """Return True if rows are constrained in stretches, by the recombination test or by one place.
+        """Return True if there is evidence that rows are constrained, from the recombination test or `is_firm`.
 
         Args:
             view: View of the rows.
-            h: Hypothesis of the rows.
-            stretches: Stretches in which they are constrained.
+            h: Hypothesis with the rows.
+            stretches: Stretches in which the rows are supposed to be constrained.
         """
         if view.curved and len(h.rows) > 2:  # three surfaces meet in points
             return False

@@ -266,7 +266,7 @@ class Clearance:
         return min(pairs, key=lambda pair: pair.distance, default=None)
 
     def __call__(self, q: Posture) -> bool:
-        """Return True if a posture is clear.
+        """Return True if a configuration is free of collisions.
 
         Args:
             q: Joint positions (nv,) [rad or m].

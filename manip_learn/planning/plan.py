@@ -269,11 +269,11 @@ class PathPolicy(NullSpacePolicy):
     motion: FreeDirection
 
     def __call__(self, q: ArrayLike, t: float = 0.0) -> Float[np.ndarray, " nv"]:
-        """Return the velocity along the path and towards it [rad/s or m/s].
+        """Return the joint velocity (nv,) along the path and towards it [rad/s or m/s].
 
         Args:
-            q: Configuration (nq,).
-            t: Time on the clock of the controller [s].
+            q: Configuration (nq,) [rad or m].
+            t: Time since the start of the controller [s].
 
         Raises:
             ConfigurationError: q has the wrong size or is not finite.

@@ -42,7 +42,9 @@ self.addEventListener("fetch", (event) => {
 
 
 class LiveServer(ThreadingHTTPServer):
-    """Server of one page, one stream of slots and some files for browsers on this machine; slow readers skip lines.
+    """HTTP server for browsers on this machine, with one page, a stream of messages, and files to download.
+
+    Messages have slots (names); a page that reads slowly misses older messages of a slot.
 
     Args:
         page: HTML of the page.

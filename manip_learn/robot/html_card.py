@@ -84,7 +84,7 @@ def facts(pairs: Iterable[tuple[str, object]]) -> str:
     """Return a table of names and values as HTML.
 
     Args:
-        pairs: Name and value; pairs with None are left out.
+        pairs: Pairs (name, value); pairs whose value is None are left out.
     """
     return table(("", ""), [(name, value) for name, value in pairs if value is not None])
 

@@ -151,9 +151,9 @@ class JointLimits(NamedTuple):
     """Limits of each degree of freedom.
 
     Attributes:
-        lower: shape (nv,) [rad or m], -inf where there is no limit.
-        upper: shape (nv,) [rad or m], inf where there is no limit.
-        velocity: shape (nv,) [rad/s or m/s], inf where there is no limit.
+        lower: Lower position limits (nv,) [rad or m], -inf for a joint without one.
+        upper: Upper position limits (nv,) [rad or m], inf for a joint without one.
+        velocity: Velocity limits (nv,) [rad/s or m/s], inf for a joint without one.
     """
 
     lower: Float[np.ndarray, " nv"]

@@ -68,7 +68,7 @@ class FeatureMap(ABC):
 
     @abstractmethod
     def __call__(self, q: ArrayLike) -> Float[np.ndarray, "p nv"]:
-        """Return Phi(q).
+        """Evaluate the feature matrix Phi(q).
 
         Args:
             q: Joint configuration (nq,) or positions (nv,) [rad or m].

@@ -181,7 +181,7 @@ class Mesh(NamedTuple):
 
 
 def compact(mesh: Mesh) -> Mesh:
-    """Return a mesh without unused vertices, and without colours.
+    """Return a mesh without its unused vertices and without colours.
 
     Args:
         mesh: The mesh.
