@@ -1,6 +1,7 @@
 """Plots of results, drawn with matplotlib (extra `plots`) on given axes or on new ones.
 
-`style="page"` is for screens, `style="column"` for a column of a printed paper: 3.5 in wide, 8 pt, names at the curves.
+`style="page"` is for screens; `style="column"` is for a column of a printed paper (3.5 in wide, 8 pt, names at the
+curves).
 """
 
 from __future__ import annotations
@@ -30,14 +31,14 @@ SIZES: dict[str, Any] = {"page": None, "column": (3.5, 2.3)}  # size of a new fi
 def manipulability(
     rollouts: Rollout | Sequence[Rollout] | Mapping[str, Rollout], ax: Axes | None = None, style: Style = "page"
 ) -> Axes:
-    """Draw mu over time for one or several rollouts, with their status and the range of mu in the recordings.
+    """Plot the manipulability mu over time for one or several rollouts, with their status.
 
     The strip below has a row for each rollout that was slowed down (light) or stopped (dark). The grey band is the
-    range of mu of the same rows in the middle 90 % of the recorded postures; it is drawn if the first rollout has these
-    postures and its robot.
+    range from the 5th to the 95th percentile of mu at the recorded configurations; it is drawn if the first rollout
+    contains these configurations and its robot.
 
     Args:
-        rollouts: One, several, or name -> rollout.
+        rollouts: A rollout, a sequence of rollouts, or a mapping from names to rollouts.
         ax: Axes to draw on; None for new ones.
         style: `"page"`, or `"column"` for a printed column.
 
@@ -45,7 +46,7 @@ def manipulability(
         The axes.
 
     Raises:
-        ManipLearnError: No rollout, an object that is not a rollout, or an unknown style.
+        ManipLearnError: There is no rollout, an object is not a rollout, or the style is unknown.
         MissingExtraError: matplotlib is not installed.
     """
     several = rollouts if isinstance(rollouts, Mapping | Sequence) else [rollouts]
@@ -83,9 +84,9 @@ def manipulability(
 
 
 def gap(report: LearningReport, ax: Axes | None = None, style: Style = "page") -> Axes:
-    """Draw the motion of the recordings along each direction, held and free ones, and the gap between them.
+    """Plot the size of the recorded motion along each direction, and the gap between held and free directions.
 
-    The joint estimator has no such levels: for it, each number of rows has a bar, its gap.
+    The joint estimator does not compute these sizes; for it, the gap of each number of rows is drawn as a bar.
 
     Args:
         report: Report of a learner, `learner.report_`.
@@ -96,7 +97,7 @@ def gap(report: LearningReport, ax: Axes | None = None, style: Style = "page") -
         The axes.
 
     Raises:
-        ManipLearnError: An object that is not a report, or an unknown style.
+        ManipLearnError: The object is not a report, or the style is unknown.
         MissingExtraError: matplotlib is not installed.
     """
     ax, s, ends = _axes(ax, style, report), report.n_constraints, {}
@@ -123,9 +124,10 @@ def gap(report: LearningReport, ax: Axes | None = None, style: Style = "page") -
 
 
 def evidence(report: LearningReport, ax: Axes | None = None, style: Style = "page") -> Axes:
-    """Draw the strength of each row and its p-value (recombination test).
+    """Plot the evidence that each row is constrained: its strength and p-value from the recombination test.
 
-    The p-value is the probability of so little motion along a row if the joints moved independently.
+    The strength is the ratio of the motion along a row if the joints moved independently to the recorded motion. The
+    p-value is the probability of as little motion as recorded if the joints moved independently.
 
     Args:
         report: Report of a learner, `learner.report_`.
@@ -136,8 +138,8 @@ def evidence(report: LearningReport, ax: Axes | None = None, style: Style = "pag
         The axes.
 
     Raises:
-        ManipLearnError: An object that is not a report, an unknown style, or a report on rows that the demonstrator
-            moves on purpose: they are not tested by recombination.
+        ManipLearnError: The object is not a report, the style is unknown, or the demonstrator drives the rows on
+            purpose, so that they were not tested by recombination.
         MissingExtraError: matplotlib is not installed.
     """
     ax, rows = _axes(ax, style, report), report.row_evidence

@@ -50,23 +50,33 @@ _TURN = ("turn", "about", "about every axis", "about every other axis")
 
 @final
 class Constraint:
-    """A(q) = Lambda Phi(q), equation (1) of Manavalan and Howard, "Learning Singularity Avoidance".
+    r"""Task constraint, a matrix that depends on the configuration q.
 
-    Only the row space of Lambda is significant, so the rows are made orthonormal; this also fixes the scale of the
-    manipulability in the features' units.
+    Equation (1) of Manavalan and Howard, "Learning Singularity Avoidance":
+
+    .. math::
+
+        A(q) = \Lambda \, \Phi(q), \qquad A(q) \, u = b
+
+    Phi (p, nv) are the features, Lambda (s, p) selects s combinations of their rows, u (nv,) is the joint velocity and
+    b (s,) the velocity along the constrained directions. A physical constraint has b = 0.
+
+    Only the row space of Lambda is significant, so the constructor makes the rows orthonormal. This also fixes the
+    scale of the manipulability in the features' units.
 
     Args:
-        selection: Lambda, shape (s, p); zero rows are dropped, the others must be linearly independent.
-        features: Phi.
+        selection: Matrix Lambda, shape (s, p). Zero rows are dropped; the others must be linearly independent.
+        features: Feature map Phi with p rows, e.g. `FrameJacobian`.
         provenance: Record of how the constraint was learnt; saved with it. Default: none.
 
     Attributes:
         selection: Lambda with orthonormal rows, shape (s, p), read-only.
-        features: Phi.
+        features: Feature map Phi.
         n_constraints: Number of rows s.
         nv: Number of velocities that A acts on.
         robot: The robot of the features; None for features without a robot.
-        notes: Sentences from loading a file, e.g. about joints that were locked or are locked at other positions.
+        notes: Differences found by `load`, in sentences, e.g. joints that were locked at other positions. Empty for
+            other constraints.
 
     Raises:
         ConstraintError: Wrong size, entries that are not finite, no nonzero row, dependent rows, or arguments in the
@@ -114,9 +124,10 @@ class Constraint:
 
     @property
     def mechanism(self) -> Mechanism | None:
-        """Mechanism that constrains the end effector, read from Lambda; None if b varies or no known mechanism fits.
+        """Mechanism that constrains the end effector, e.g. a hinge, identified from the rows of Lambda.
 
-        If the constraint was learnt, place, radius and uncertainty are the fitted ones.
+        If the constraint was learnt, axis, point, radius and uncertainty are from the fit to the recorded positions.
+        None if no known mechanism has these rows, or if the demonstrator imposed the constraint (b varies).
         """
         if self.provenance.get("kind") == "self-imposed":
             return None
@@ -134,10 +145,10 @@ class Constraint:
         return Intention.from_dict(self.provenance.get("intention"))
 
     def task_frame(self, q: ArrayLike) -> TaskFrame:
-        """Return the frame along whose axes this constraint leaves the end effector free or holds it.
+        """Return the frame whose axes are each either free or held by this constraint.
 
-        Force and impedance controllers take their constraints in such a frame; `manip-learn export --to urscript` and
-        others write it for them.
+        Force and impedance controllers need their constraints in such a frame. `manip-learn export` writes it for them,
+        e.g. with `--to urscript`.
 
         Args:
             q: Joint configuration (nq,) or positions (nv,) [rad or m].
@@ -152,11 +163,12 @@ class Constraint:
         return task_frame(self, q)
 
     def about_its_mechanism(self) -> Constraint:
-        """Return the same constraint with rows named after its mechanism: `MechanismRows`, or a frame's, instead of
-        `PlaceRows`.
+        """Return the same constraint with rows that are named after its mechanism, e.g. `radial` and `axial` of a
+        hinge.
 
         Returns:
-            The constraint itself if it has other features or no named mechanism.
+            A constraint with `MechanismRows` or `FrameJacobian` rows instead of `PlaceRows`; this constraint itself if
+            it has other features or its mechanism is not known.
         """
         features, selection = self.features.named(self.selection, self.mechanism)
         return self if features is self.features else Constraint(selection, features, self.provenance)
@@ -165,7 +177,7 @@ class Constraint:
         """Return this constraint with additional rows that also constrain the orientation of its frame.
 
         Returns:
-            A constraint with the rows of this one first, then the rotations that these do not constrain yet.
+            A constraint with the rows of this one, followed by rows for the rotations that these leave free.
 
         Raises:
             ConstraintError: The features have no frame with an orientation.
@@ -175,27 +187,28 @@ class Constraint:
         return Constraint(selection, features, self.provenance)
 
     def showing(self, shown: Shown) -> Constraint:
-        """Return the same rows with another demonstrated motion.
+        """Return a copy of this constraint with another demonstrated motion.
 
         Args:
             shown: Demonstrated motion along the free directions.
 
         Returns:
-            A constraint whose provenance holds this motion.
+            A constraint with the same rows and with `shown` as its demonstrated motion.
         """
         return Constraint(self.selection, self.features, self.provenance | {"shown": shown.to_dict()})
 
     def moved(self, transform: Float[np.ndarray, "4 4"]) -> Constraint:
-        """Return this constraint with its mechanism moved by a rigid motion, p' = R p + t in the base frame.
+        """Return this constraint for a mechanism that was moved, e.g. a drawer at another position.
 
-        Rows in the hand's own axes move too; rows relative to another frame do not change.
+        A point p of the mechanism moves to p' = R p + t in the base frame. Rows along the axes of the hand's own frame
+        do not change.
 
         Args:
-            transform: Rigid motion (4, 4) in the base frame [m].
+            transform: Homogeneous matrix (4, 4) of R and t, in the base frame [m].
 
         Returns:
-            The moved constraint, without the recorded postures; this constraint itself if it is relative to another
-            frame.
+            The moved constraint, without the recorded configurations; this constraint itself if its rows are relative
+            to another frame.
         """
         if self.features.relative_to is not None:
             return self
@@ -208,7 +221,7 @@ class Constraint:
         return Constraint(selection, features, provenance)
 
     def __call__(self, q: ArrayLike) -> Float[np.ndarray, "s nv"]:
-        """Return A(q).
+        """Evaluate the constraint matrix A(q) = Lambda Phi(q).
 
         Args:
             q: Joint configuration (nq,) or positions (nv,) [rad or m].
@@ -222,13 +235,13 @@ class Constraint:
         return self.selection.dot(self.features(q))
 
     def manipulability(self, q: ArrayLike) -> float:
-        """Return mu(q) = sqrt(det(A A^T)), as `manip_learn.manipulability(constraint, q)`.
+        """Return the manipulability mu(q) = sqrt(det(A A^T)), as `manip_learn.manipulability(constraint, q)` does.
 
         Args:
             q: Joint configuration (nq,) or positions (nv,) [rad or m].
 
         Returns:
-            mu; its unit is the product of the row units.
+            The manipulability mu, at least 0; its unit is the product of the units of the rows.
 
         Raises:
             ConfigurationError: q has the wrong size or is not finite.
@@ -236,7 +249,7 @@ class Constraint:
         return manipulability_of(self(q))
 
     def derivative(self, q: ArrayLike) -> Float[np.ndarray, "s nv nv"]:
-        """Return dA/dq.
+        """Return the derivative dA/dq.
 
         Args:
             q: Joint configuration (nq,) or positions (nv,) [rad or m].
@@ -247,7 +260,7 @@ class Constraint:
         return self.value_and_derivative(q)[1]
 
     def value_and_derivative(self, q: ArrayLike) -> tuple[Float[np.ndarray, "s nv"], Float[np.ndarray, "s nv nv"]]:
-        """Return A(q) and dA/dq; the two share their computation.
+        """Return A(q) and dA/dq, faster than by two calls.
 
         Args:
             q: Joint configuration (nq,) or positions (nv,) [rad or m].
@@ -266,23 +279,29 @@ class Constraint:
             q: Joint configuration (nq,) or positions (nv,) [rad or m].
 
         Returns:
-            A (s, nv), and a function from weights (s, nv) to the vector (nv,) with entries sum_ij weights_ij dA_ij /
-            dq_k.
+            A (s, nv), and a function that takes weights w (s, nv) and returns the vector (nv,) whose entry k is the sum
+            over i and j of `w[i, j] * dA[i, j] / dq[k]`.
         """
         A, dA = self.value_and_derivative(q)
         flat = dA.reshape(-1, self.nv)
         return A, lambda weights: weights.reshape(-1).dot(flat)
 
     def residual(self, demonstrations: Iterable[Trajectory]) -> float:
-        """Return the fraction of the motion that violates A(q) u = 0: sqrt(sum |A^+ A u|^2 / sum |u|^2), 0 to 1.
+        r"""Return the fraction of the demonstrated motion that violates A(q) u = 0.
 
-        It is meaningful for motion-constrained recordings (b = 0) only.
+        The sums are over all samples; :math:`A^+ A u` is the part of the joint velocity u that the constraint forbids:
+
+        .. math::
+
+            \sqrt{\frac{\sum |A^+ A u|^2}{\sum |u|^2}}
+
+        The result is meaningful only for recordings with a physical constraint (b = 0).
 
         Args:
             demonstrations: Trajectories with velocities u [rad/s or m/s].
 
         Returns:
-            The RMS fraction over all samples, 0 if the constraint holds exactly.
+            The RMS fraction, from 0 (the constraint holds exactly) to 1.
 
         Raises:
             ConstraintError: A trajectory has no velocities, or there is no motion.
@@ -304,7 +323,7 @@ class Constraint:
         """Return the content of a constraint file.
 
         Returns:
-            Values for JSON, with the SHA-256 of the entries that determine the motion.
+            Dictionary of JSON values, with the SHA-256 of the entries that determine the motion.
 
         Raises:
             FeatureError: The features are Python functions, which cannot be saved.
@@ -327,13 +346,13 @@ class Constraint:
         return with_checksum(content)
 
     def save(self, path: str | Path) -> Path:
-        """Write the constraint to a JSON file, completely or not at all.
+        """Write the constraint to a JSON file; after an error, no incomplete file is left.
 
         Args:
             path: File to write.
 
         Returns:
-            Path of the file.
+            Path of the written file.
 
         Raises:
             OutputError: The file cannot be written.
@@ -349,17 +368,17 @@ class Constraint:
             path: JSON file written by `save`.
             robot: The robot, loaded with the same locked joints.
             same_urdf: Require the identical URDF with joints locked at the same positions. False accepts another
-                version of the file with the same joints, e.g. after a change of its visuals; you then have to make sure
-                that the kinematics are the same, and `notes` of the constraint name the joints that are locked
-                elsewhere.
+                version of the URDF with the same joints, e.g. after a change of its visuals. You must then make sure
+                that the kinematics are the same; `notes` of the constraint name joints that are locked at other
+                positions.
 
         Returns:
             The constraint.
 
         Raises:
-            ConstraintMismatchError: Another robot, a newer schema, not a constraint file, a number that is not finite,
-                rows that contradict the file's other entries (their number, names, units, or orthonormality), or a file
-                that was changed after it was saved.
+            ConstraintMismatchError: The file is for another robot, has a newer schema, is no constraint file, or was
+                changed after it was saved; a number is not finite, or the rows contradict the file's other entries
+                (number, names or units of rows, orthonormality).
 
         Warns:
             UserWarning: The file has no SHA-256, so that changes cannot be detected.
@@ -376,13 +395,13 @@ class Constraint:
             content: The output of `to_dict`, or the JSON document of a file.
             robot: The robot, loaded with the same locked joints.
             source: Name of the content in error messages.
-            same_urdf: As for `load`.
+            same_urdf: Require the identical URDF with joints locked at the same positions, see `load`.
 
         Returns:
             The constraint.
 
         Raises:
-            ConstraintMismatchError: As for `load`.
+            ConstraintMismatchError: The content is damaged or for another robot, see `load`.
         """
         if not isinstance(content, Mapping) or content.get("format") != _FORMAT:
             raise ConstraintMismatchError(f'{source} is not a constraint file: it lacks "format": "{_FORMAT}"')
@@ -424,8 +443,9 @@ class Constraint:
         return f"Constraint({self.rows_in_words()} of {self.features!r})"
 
     def rows_in_words(self) -> str:
-        """Return the held rows as text, rotated towards single axes: `"(-0.42, 0.91, 0.00); z"`; they span the rows of
-        Lambda.
+        """Return the constrained directions as text, e.g. `"(-0.42, 0.91, 0.00); z"`.
+
+        They are a basis of the row space of Lambda in which each row involves as few features as possible.
         """
         return "; ".join(format_vector(row, self.features.row_names) for row in along_axes(self.selection))
 
@@ -441,17 +461,16 @@ class Constraint:
 
 
 def with_checksum(content: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the content of a constraint file with the SHA-256 of its rows, its demonstrated motion and a skill's
-    steps.
+    """Return the content of a constraint or skill file with its checksum.
 
-    The checksum detects later changes of these entries; entries that are only reported, such as the phases, are not
-    covered.
+    The checksum is the SHA-256 of features, selection, demonstrated motion and steps of the skill, and detects later
+    changes of these. It does not cover entries that are only reported, such as the phases.
 
     Args:
         content: Content of the file, with or without a checksum.
 
     Returns:
-        A copy with the entry `SIGNATURE` set.
+        A copy with the checksum in the entry `SIGNATURE` (`"sha256"`).
     """
     motion = (content.get("provenance") or {}).get("shown")
     entries = (content.get("features"), content.get("selection"), motion, content.get("skill"))
@@ -460,14 +479,15 @@ def with_checksum(content: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def normalised_json(value: Any) -> Any:
-    """Return a JSON value with every number as a float of twelve digits, so that rewriting by another program changes
-    nothing.
+    """Return a JSON value with every number as a float that is rounded to twelve digits.
+
+    A checksum of the result is then the same after another program has rewritten the file.
 
     Args:
-        value: Number, text, list or mapping, nested.
+        value: JSON value: number, text, list or mapping, possibly nested.
 
     Returns:
-        The value with new lists and dictionaries.
+        A copy of the value; mappings become dictionaries, lists and tuples become lists.
 
     Raises:
         ValueError: A number is not finite.
@@ -504,7 +524,7 @@ def damage_error(source: str, error: BaseException) -> ConstraintMismatchError:
         error: Exception raised while reading it.
 
     Returns:
-        The error to raise, with the reason.
+        The error for the caller to raise; its message states the reason.
     """
     reason = f"it lacks {error}" if isinstance(error, KeyError) else reason_of(error)
     return ConstraintMismatchError(f"{source} is damaged: {reason}. Fetch the original, or learn it again")
@@ -533,7 +553,7 @@ def read_constraint_file(path: Path) -> dict[str, Any]:
 
 
 def locks_in_words(locked: Mapping[str, float]) -> str:
-    """Return a list of locked joints as text.
+    """Return locked joints as text.
 
     Args:
         locked: Joint name -> locked position [rad or m].
@@ -566,15 +586,15 @@ def _check_rows(content: Mapping[str, Any], constraint: Constraint) -> None:
 
 
 def free_directions(selection: Float[np.ndarray, "s p"], used: Bool[np.ndarray, " p"]) -> Float[np.ndarray, "k p"]:
-    """Return orthonormal rows that the constraint leaves free, among the feature rows that can move at all.
+    """Return orthonormal combinations of feature rows that the constraint leaves free.
 
     Args:
         selection: Lambda (s, p) with orthonormal rows.
-        used: shape (p,), True for feature rows that can move.
+        used: shape (p,), True for the feature rows that the arm can move. The others get the coefficient 0.
 
     Returns:
-        shape (k, p): each row has a positive largest entry; several are rotated to share as few feature rows as
-        possible.
+        shape (k, p), one free direction per row. The basis is chosen so that each direction involves as few feature
+        rows as possible; its largest entry is positive.
     """
     inner = null_basis(selection[:, used]).T
     out = np.zeros((len(inner), selection.shape[1]))
@@ -591,18 +611,19 @@ def describe(
     uncertainty_deg: float | None,
     mechanism: Mechanism | None = None,
 ) -> str:
-    """Return the sentence of a constraint: free and blocked motions, the mechanism, and the uncertainty.
+    """Describe a constraint in words: free and blocked motions, the mechanism, and the uncertainty.
 
     Args:
-        kind: `"motion-constrained"` or another kind of constraint.
-        free: Orthonormal free rows (k, p), see `free_directions`.
-        features: Phi, with p rows.
-        used: shape (p,), True for feature rows that can move.
+        kind: `"motion-constrained"` for a physical constraint, whose other directions are called blocked; with another
+            kind they are called steered on purpose.
+        free: Orthonormal free directions (k, p), see `free_directions`.
+        features: Feature map Phi with p rows.
+        used: shape (p,), True for the feature rows that the arm can move.
         uncertainty_deg: Uncertainty of the rows [deg]; None if unknown.
         mechanism: Mechanism that constrains the end effector; None if there is none.
 
     Returns:
-        Up to three sentences.
+        Text of one to three sentences.
     """
     names = [n for n, u in zip(features.row_names, used, strict=True) if u]
     blocked, ways = "blocked" if kind == "motion-constrained" else "steered on purpose", free[:, used]
@@ -657,16 +678,16 @@ def _way(move: Float[np.ndarray, " 3"], turn: Float[np.ndarray, " 3"]) -> str:
 def rows_state_place(
     mechanism: Mechanism | None, names: Sequence[str], reference: str | None, free: Float[np.ndarray, "k p"]
 ) -> bool:
-    """Return whether the free directions alone already state the place of the mechanism.
+    """Return whether a sentence with the free directions already describes the mechanism's axis and position.
 
     Args:
         mechanism: Mechanism that constrains the end effector; None if there is none.
         names: Names of the p feature rows.
-        reference: Their frame, `"world"` or `"local"`; None for rows of the mechanism itself.
-        free: Orthonormal free rows (k, p).
+        reference: Axes of the feature rows, `"world"` or `"local"`; None for rows of the mechanism itself.
+        free: Orthonormal free directions (k, p).
 
     Returns:
-        True if a sentence with these directions needs no place of the mechanism.
+        True if the axis and position of the mechanism need not be repeated.
     """
     if mechanism is None or reference is None:
         return mechanism is not None

@@ -1,7 +1,7 @@
 """Manipulability of a task and its gradient, finite at singularities.
 
-mu(q) = sqrt(det(A A^T)), equation (4) of Manavalan and Howard, is computed as the product of the singular values of A;
-grad mu, equation (13), without a division.
+The manipulability mu(q) = sqrt(det(A A^T)), equation (4) of Manavalan and Howard, is computed as the product of the
+singular values of A. Its gradient, equation (13), is computed without a division.
 """
 
 from __future__ import annotations
@@ -27,18 +27,25 @@ Decomposition = tuple[Float[np.ndarray, "s s"], Float[np.ndarray, " k"], Float[n
 
 
 def manipulability(constraint: Constraint, q: ArrayLike) -> float:
-    """Compute mu(q) = sqrt(det(A A^T)) = prod_i sigma_i, equation (4) of Manavalan and Howard.
+    r"""Compute the manipulability of a task, the distance from its singularities.
+
+    Equation (4) of Manavalan and Howard, with the singular values sigma of A(q):
+
+    .. math::
+
+        \mu(q) = \sqrt{\det(A A^T)} = \prod_i \sigma_i
 
     Args:
-        constraint: A(q).
+        constraint: Constraint A(q).
         q: Joint configuration (nq,) or positions (nv,) [rad or m].
 
     Returns:
-        mu, 0 at a singularity and never NaN; its unit is the product of the units of the constraint's rows.
+        The manipulability, 0 at a singularity and never NaN; its unit is the product of the units of the constraint's
+        rows.
 
     Raises:
         ConfigurationError: q has the wrong size or is not finite.
-        ConstraintError: The arguments are in another order.
+        ConstraintError: The arguments are in the wrong order.
 
     Example:
         >>> import manip_learn as ml
@@ -52,17 +59,17 @@ def manipulability(constraint: Constraint, q: ArrayLike) -> float:
 
 
 def require_constraint(constraint: Constraint, q: ArrayLike) -> Constraint:
-    """Return the first argument if it is a constraint, and refuse anything else.
+    """Return the first argument if it is a `Constraint`; raise an error otherwise.
 
     Args:
         constraint: Argument to check.
-        q: The other argument, named in the error message.
+        q: Second argument of the calling function; the error message says if the two are swapped.
 
     Returns:
         The constraint.
 
     Raises:
-        ConstraintError: The first argument is something else, e.g. the configuration.
+        ConstraintError: The first argument is no constraint, e.g. because it is the configuration.
     """
     if not isinstance(constraint, Constraint):
         raise ConstraintError(f"the constraint comes first, then the posture: got {an(constraint)} and {an(q)}")
@@ -70,45 +77,57 @@ def require_constraint(constraint: Constraint, q: ArrayLike) -> Constraint:
 
 
 def manipulability_gradient(constraint: Constraint, q: ArrayLike) -> Float[np.ndarray, " nv"]:
-    """Compute the gradient of mu along the tangent coordinates, equation (13) of Manavalan and Howard, finite
-    everywhere.
+    r"""Compute the gradient of the manipulability mu with respect to the joint positions, finite everywhere.
 
-    At an exact singularity mu is a cone, |M step| to first order. The result there is its direction of steepest ascent:
-    the leading right singular vector of M times its singular value. (Both signs increase mu; the one whose largest
-    entry is positive is returned.) If the rank drops by two or more, mu grows with a higher power of the step and the
-    gradient is zero; `ManipulabilityAscent` leads out of such configurations.
+    Equation (13) of Manavalan and Howard, with the singular value decomposition of A (sigma, left vectors u, right
+    vectors v):
+
+    .. math::
+
+        \frac{\partial \mu}{\partial q_k}
+            = \sum_i \Big(\prod_{j \ne i} \sigma_j\Big) \, u_i^T \frac{\partial A}{\partial q_k} v_i
+
+    At an exact singularity, mu is not differentiable: for a small step it grows as :math:`|M \, \mathrm{step}|`, with a
+    matrix M made from dA/dq. The function then returns the direction of steepest ascent: the leading right singular
+    vector of M times its singular value. Both signs of this vector increase mu; the one whose largest entry is positive
+    is returned. If the rank of A drops by two or more, the gradient is zero; `ManipulabilityAscent` leads out of such
+    configurations.
 
     Args:
-        constraint: A(q).
+        constraint: Constraint A(q).
         q: Joint configuration (nq,) or positions (nv,) [rad or m].
 
     Returns:
-        shape (nv,): d mu / d q_k [unit of mu per rad or m].
+        Gradient (nv,) [unit of mu per rad or m].
 
     Raises:
         ConfigurationError: q has the wrong size or is not finite.
-        ConstraintError: The arguments are in another order.
+        ConstraintError: The arguments are in the wrong order.
     """
     A, vjp = require_constraint(constraint, q).value_and_vjp(q)
     return gradient_from(A.shape, svd(A), vjp)[1]
 
 
 def log_manipulability_gradient(constraint: Constraint, q: ArrayLike) -> Float[np.ndarray, " nv"]:
-    """Compute the gradient of log mu = grad mu / mu, which does not depend on the units of the constraint.
+    r"""Compute the gradient of log mu, which does not depend on the units of the constraint.
 
-    At a singularity its length is infinite. The result there has the direction of `manipulability_gradient`, and the
-    length at the distance where rounding no longer distinguishes it from a singularity.
+    .. math::
+
+        \nabla \log \mu = \frac{\nabla \mu}{\mu}
+
+    At a singularity this vector has no finite length. The function then returns a vector in the direction of
+    `manipulability_gradient`, divided by the smallest mu that rounding can distinguish from 0.
 
     Args:
-        constraint: A(q).
+        constraint: Constraint A(q).
         q: Joint configuration (nq,) or positions (nv,) [rad or m].
 
     Returns:
-        shape (nv,): d log mu / d q_k [1/rad or 1/m].
+        Gradient (nv,) [1/rad or 1/m].
 
     Raises:
         ConfigurationError: q has the wrong size or is not finite.
-        ConstraintError: The arguments are in another order.
+        ConstraintError: The arguments are in the wrong order.
     """
     A, vjp = require_constraint(constraint, q).value_and_vjp(q)
     mu, gradient, floor = gradient_from(A.shape, svd(A), vjp)
@@ -117,13 +136,14 @@ def log_manipulability_gradient(constraint: Constraint, q: ArrayLike) -> Float[n
 
 @final
 class ManipulabilityBatch(NamedTuple):
-    """mu and its gradient at n configurations.
+    """Manipulability mu and its gradient at n configurations.
 
     Attributes:
-        mu: shape (n,).
-        gradient: shape (n, nv), finite; at singularities the steepest ascent, see `manipulability_gradient`.
-        floor: shape (n,), the mu below which rounding hides the distance to a singularity; 0 if the singularity is
-            farther away.
+        mu: Manipulability, shape (n,).
+        gradient: Gradient of mu, shape (n, nv), finite; at singularities the steepest ascent, see
+            `manipulability_gradient`.
+        floor: shape (n,). At a configuration that rounding cannot distinguish from a singularity: the smallest mu that
+            could be distinguished from 0. Elsewhere 0.
     """
 
     mu: Float[np.ndarray, " n"]
@@ -132,23 +152,23 @@ class ManipulabilityBatch(NamedTuple):
 
     @property
     def log_gradient(self) -> Float[np.ndarray, "n nv"]:
-        """Gradient of log mu, see `log_manipulability_gradient`."""
+        """Gradient of log mu, shape (n, nv), see `log_manipulability_gradient`."""
         return self.gradient / np.maximum(np.maximum(self.mu, self.floor), np.finfo(np.float64).tiny)[:, None]
 
 
 def manipulability_batch(constraint: Constraint, q: ArrayLike) -> ManipulabilityBatch:
-    """Compute mu(q) and its gradient at n configurations.
+    """Compute the manipulability mu(q) and its gradient at n configurations.
 
     Args:
-        constraint: A(q).
+        constraint: Constraint A(q).
         q: Configurations (n, nq) or joint positions (n, nv) [rad or m], one per row.
 
     Returns:
-        mu, gradients and floors, one per row.
+        mu, its gradient and its floor at each configuration.
 
     Raises:
-        ConfigurationError: Wrong size or not finite; names the first bad row and joint.
-        ConstraintError: The arguments are in another order.
+        ConfigurationError: q has the wrong size or is not finite; names the first bad row and joint.
+        ConstraintError: The arguments are in the wrong order.
     """
     selection, features = require_constraint(constraint, q).selection, constraint.features
     postures, nv = np.asarray(q, dtype=np.float64), constraint.nv
@@ -171,17 +191,15 @@ def manipulability_batch(constraint: Constraint, q: ArrayLike) -> Manipulability
 
 
 def gradient_from(shape: tuple[int, ...], decomposition: Decomposition, vjp: Vjp) -> tuple[float, np.ndarray, float]:
-    """Compute mu, its gradient, and the mu below which rounding hides the distance to a singularity.
-
-    d mu / d q_k = sum_i (prod_{j != i} sigma_j) u_i^T (dA / dq_k) v_i.
+    """Compute the manipulability mu, its gradient (see `manipulability_gradient`) and the floor of mu.
 
     Args:
         shape: (s, nv), the shape of A.
         decomposition: Singular value decomposition of A, see `svd`.
-        vjp: Weights (s, nv) -> sum_ij weights_ij dA_ij / dq_k, shape (nv,).
+        vjp: Vector-Jacobian product of A, see `Constraint.value_and_vjp`.
 
     Returns:
-        mu, its gradient (nv,), and the floor of mu; all are zero if s > nv.
+        mu, its gradient (nv,), and the smallest mu that rounding can distinguish from 0; all are zero if s > nv.
     """
     s, nv = shape
     if s > nv:
@@ -200,14 +218,17 @@ def gradient_from(shape: tuple[int, ...], decomposition: Decomposition, vjp: Vjp
 
 
 def smallest_gradient(decomposition: Decomposition, vjp: Vjp) -> Float[np.ndarray, " nv"]:
-    """Compute d sigma_min / dq = u_min^T (dA / dq) v_min for a smallest singular value that is neither 0 nor double.
+    """Compute the gradient of the smallest singular value sigma of A, u^T (dA / dq) v with its singular vectors u and
+    v.
+
+    The formula holds if sigma is not 0 and no other singular value equals it.
 
     Args:
         decomposition: Singular value decomposition of A, see `svd`.
-        vjp: Weights (s, nv) -> sum_ij weights_ij dA_ij / dq_k, shape (nv,).
+        vjp: Vector-Jacobian product of A, see `Constraint.value_and_vjp`.
 
     Returns:
-        shape (nv,).
+        d sigma / dq, shape (nv,).
     """
     U, sigma, Vt = decomposition
     k = len(sigma)
@@ -215,13 +236,13 @@ def smallest_gradient(decomposition: Decomposition, vjp: Vjp) -> Float[np.ndarra
 
 
 def products_of_others(sigma: Sequence[float]) -> list[float]:
-    """Return prod_{j != i} sigma_j for each i, without a division.
+    """Return for each singular value the product of all others, without a division.
 
     Args:
         sigma: Singular values.
 
     Returns:
-        One product per singular value.
+        One product per singular value, 1 if there are no others.
     """
     return [math.prod((*sigma[:i], *sigma[i + 1 :]), start=1.0) for i in range(len(sigma))]
 
@@ -241,16 +262,15 @@ def _steepest(
 
 
 def svd(A: Float[np.ndarray, "s n"]) -> Decomposition:
-    """Compute the singular value decomposition of A.
+    """Compute the full singular value decomposition of a small matrix.
 
-    It calls LAPACK's dgesdd directly: NumPy's wrapper takes longer than the decomposition of a matrix as small as a
-    constraint's.
+    LAPACK's dgesdd is called directly, because NumPy's wrapper takes longer than the decomposition itself.
 
     Args:
-        A: shape (s, n).
+        A: Matrix (s, n).
 
     Returns:
-        U (s, s), the singular values, and V^T (n, n).
+        U (s, s), the min(s, n) singular values in descending order, and V^T (n, n).
     """
     U, sigma, Vt, failed = dgesdd(A)
     return np.linalg.svd(A, full_matrices=True) if failed else (U, sigma, Vt)

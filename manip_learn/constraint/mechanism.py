@@ -1,11 +1,11 @@
 """Mechanisms that constrain the end effector: a line, a plane, a hinge, a ball, a screw, an orientation, a curve.
 
-A mechanism is described by its kind, the remaining freedom of the hand's orientation, and its place. These determine
-the rows that are zero, the chart of a grasp (`Mechanism.at`), and from it every motion, the demonstrated path, a
-drawing and a sentence.
+A mechanism is described by its kind, the remaining freedom of the hand's orientation, and its axis and point. These
+determine which feature rows are zero, and the coordinates of a grasped hand along the mechanism (`Mechanism.at`), from
+which motions, drawings and sentences are computed.
 
-The lower pairs of a machine are the subgroups of SE(3): the motions that a pair leaves free form a constant space of
-twists. The kind, the axis and the pitch of a mechanism are therefore read from Lambda itself.
+The lower pairs of kinematics are subgroups of SE(3): the motions that a pair leaves free form a constant space of
+twists. The kind, the axis and the pitch of a mechanism can therefore be computed from Lambda alone.
 """
 
 from __future__ import annotations
@@ -108,13 +108,14 @@ class MechanismKind:
     """Kind of mechanism that may constrain the end effector.
 
     Attributes:
-        name: Unique name.
-        kind: Surface or curve that constrains the position of the hand.
+        name: Unique name, e.g. `"hinge, firm"`.
+        kind: Surface or curve that constrains the position of the hand, e.g. `"hinge"`.
         orientation: Freedom of the hand's orientation: it turns freely (`"free"`), about the mechanism's axis only
             (`"about-axis"`), not at all (`"fixed"`), or with the mechanism (`"carried"`).
-        type: Name in a report.
-        unknowns: Fitted parameters among `"axis"`, `"point-across"` (two numbers), `"point"` (three) and `"pitch"`.
-        rows: Rows of `MechanismRows`, or of `CurveRows`, that are then zero.
+        type: Type in a report, see `Mechanism`.
+        unknowns: Parameters to fit, among `"axis"`, `"point-across"` (a point of the axis, two numbers), `"point"`
+            (three numbers) and `"pitch"`.
+        rows: Names of the rows of `MechanismRows`, or of `CurveRows`, that this mechanism holds at zero.
     """
 
     name: str
@@ -147,13 +148,13 @@ Rows = Float[np.ndarray, "_ k"]
 
 
 def kind_of_rows(names: Iterable[str]) -> MechanismKind | None:
-    """Return the kind that leaves exactly these rows zero.
+    """Return the kind of mechanism that holds exactly these rows at zero.
 
     Args:
         names: Names of rows of `MechanismRows` or `CurveRows`, in any order.
 
     Returns:
-        The kind; None if there is none.
+        The kind; None if no kind has exactly these rows.
     """
     zero_rows = set(names)
     return next((kind for kind in MECHANISM_KINDS if set(kind.rows) == zero_rows), None)
@@ -163,11 +164,11 @@ def plain(record: Any, digits: int | None = None) -> dict[str, Any]:
     """Return the fields of a dataclass as numbers, lists and dictionaries, ready for JSON.
 
     Args:
-        record: The dataclass.
+        record: Instance of a dataclass.
         digits: Decimals to which arrays are rounded; None for no rounding.
 
     Returns:
-        Field name -> value.
+        Dictionary from field name to value.
     """
     values = {each.name: getattr(record, each.name) for each in dataclasses.fields(record) if each.init}
     for name, value in values.items():
@@ -181,10 +182,10 @@ def plain(record: Any, digits: int | None = None) -> dict[str, Any]:
 
 
 def from_plain(make: Any, content: Mapping[str, Any]) -> Any:
-    """Build a dataclass from the output of `plain`; entries that are not fields are ignored.
+    """Build an instance of a dataclass from the output of `plain`; entries that are not fields are ignored.
 
     Args:
-        make: The dataclass.
+        make: The class.
         content: The output of `plain`.
 
     Returns:
@@ -207,32 +208,33 @@ class Mechanism:
     Attributes:
         type: `"line"`, `"plane"`, `"hinge"`, `"ball"`, `"screw"`, `"held-orientation"` or `"other"` (a cylinder, or a
             curve).
-        axis: shape (3,), unit vector: along a line, normal to a plane, along the axis of a hinge, a screw or a
-            cylinder, or the direction about which the hand may still turn. None for a ball, and if the hand does not
-            turn at all.
-        point: shape (3,) [m]: the centre of a ball, the point of an axis nearest to the hand, a point of a line or a
-            plane. None for an orientation.
+        axis: shape (3,), unit vector: along a line, normal to a plane, or along the axis of a hinge, a screw or a
+            cylinder; for a held orientation, the direction about which the hand may still turn. None for a ball, and
+            for a held orientation without such a direction.
+        point: shape (3,) [m]: the centre of a ball, the point of an axis nearest to the hand, or a point of a line or a
+            plane. None for a held orientation.
         radius: Distance of the hand from the axis or the centre, mean over the trajectories [m]; None if it does not
             apply.
         pitch: Travel along the axis per radian of rotation, right-handed screws positive [m/rad]; one full turn moves 2
             pi times as far. None except for screws.
-        grip: `"firm"` if rows constrain the orientation of the hand, `"kept"` if the demonstrator kept its orientation
-            by habit, `"loose"` if the hand turned.
+        grip: `"firm"` if the mechanism constrains the orientation of the hand, `"kept"` if it does not but the
+            demonstrator kept the orientation by habit, `"loose"` if the hand turned freely.
         orientation: Freedom of the hand's orientation: `"free"`, `"about-axis"`, `"fixed"` or `"carried"` (it turns
             with the mechanism).
-        uncertainty: 68 % bound of the error of each parameter: `"axis"` [deg], `"point"` [m], `"radius"` [m], `"pitch"`
-            [m/rad]; one standard deviation of a single number, the length of the error of an axis (two directions) or a
-            point. It covers joint errors, both varying from sample to sample and constant, and the remaining scatter of
-            the trajectories.
-        arc: Angle of the path about the axis or the centre [rad]; None if nothing turns.
-        name: Name of the candidate, e.g. `"hinge, firm"`; `"curve"` if none of them fits.
+        uncertainty: Parameter -> bound of its error that holds with 68 % probability: `"axis"` [deg], `"point"` [m],
+            `"radius"` [m], `"pitch"` [m/rad]. For a number this is one standard deviation; for an axis or a point it
+            bounds the size of the error. Covered are joint errors (noise and constant offsets) and the remaining
+            scatter of the trajectories.
+        arc: Angle of the path about the axis or the centre [rad]; None if the mechanism has no rotation.
+        name: Name of the `MechanismKind`, e.g. `"hinge, firm"`; `"curve"` if none of the lower pairs fits.
         orientation_rms: RMS deviation of the hand's orientation during contact, relative to the base or to the part
             that turns with the mechanism, the smaller one [deg]; None if it was not determined.
         relative_to: Name of the frame of axis, point and the hand's poses; None for the base.
         curve: The guide curve of kind `"curve"`; None for other kinds.
         kind: Surface or curve that constrains the position of the hand; `"space"` for a held orientation, which leaves
             the position free.
-        in_fingers: True if its axis is the axis of a sleeve in the hand, so that the fingers turn about it.
+        in_fingers: True for a sleeve on a rod that the hand grasps on the axis itself, so that the fingers turn about
+            it.
     """
 
     type: MechanismType
@@ -276,12 +278,12 @@ class Mechanism:
 
     @property
     def rows(self) -> tuple[str, ...]:
-        """Names of the rows that are zero."""
+        """Names of the feature rows that the mechanism holds at zero, see `MechanismRows` and `CurveRows`."""
         return KINDS[self.kind, self.orientation].rows
 
     @property
     def n_free(self) -> int:
-        """Number of free coordinates: along the mechanism, and of the hand's own rotation."""
+        """Number of free coordinates: motions along the mechanism, plus rotations of the hand that it leaves free."""
         return 6 - len(self.rows)
 
     @property
@@ -291,12 +293,12 @@ class Mechanism:
 
     @property
     def noun(self) -> str:
-        """Its type for sentences, or `"curve"`."""
+        """Type of the mechanism as a noun for sentences, e.g. `"hinge"`, `"held-orientation"` or `"curve"`."""
         return _NOUNS.get(self.kind, self.kind)
 
     @property
     def place(self) -> str:
-        """Its axis, centre, pitch and distance in words, in the robot's base frame; empty for an orientation."""
+        """Axis, centre, pitch and distance from the hand as text; empty for a held orientation and for a curve."""
         if self.axis is None and self.grip == "firm" and self.type in ("line", "hinge", "screw"):
             return "fixed to the hand" + ("" if self.radius is None else f", {self.radius:.3f} m from its origin")
         axis, point = format_vector(self.axis), format_vector(self.point)
@@ -308,7 +310,7 @@ class Mechanism:
 
     @property
     def turns(self) -> str:
-        """Freedom of the hand's orientation, in words."""
+        """Freedom of the hand's orientation in words, e.g. `"the hand may turn"`."""
         if self.grip == "kept" and self.orientation_rms is not None:
             return f"the hand kept its orientation to {self.orientation_rms:.1f} degrees, by habit"
         around = {"plane": "its normal", "space": format_vector(self.axis)}.get(self.kind, "the axis")
@@ -316,10 +318,10 @@ class Mechanism:
         return _TURNS[self.orientation][1].format(axis=around) + slides
 
     def moved(self, transform: Float[np.ndarray, "4 4"]) -> Mechanism:
-        """Return this mechanism after a rigid motion, p' = R p + t.
+        """Return this mechanism after a rigid motion of it, p' = R p + t.
 
         Args:
-            transform: Rigid motion (4, 4) in the mechanism's frame [m].
+            transform: Homogeneous matrix (4, 4) of R and t, in the frame of axis and point [m].
 
         Returns:
             The moved mechanism.
@@ -336,21 +338,22 @@ class Mechanism:
         return dataclasses.replace(self, axis=None if self.axis is None else -self.axis, curve=curve)
 
     def by_place(self) -> Mechanism:
-        """Return this mechanism for a hand that may turn: its position alone then gives the coordinates along it."""
+        """Return this mechanism with a free orientation, so that coordinates depend on the hand's position alone."""
         return dataclasses.replace(self, orientation="free")
 
     def features(self, robot: Any, frame: str) -> Any:
-        """Return the rows that this mechanism makes zero for a frame of a robot, of unit length at any distance.
+        """Return features whose rows this mechanism holds at zero, for a frame of a robot; the rows have unit length.
 
         Args:
             robot: The robot.
             frame: Name of the frame.
 
         Returns:
-            Phi (6 - k, nv), with k free coordinates: `MechanismRows`, or `CurveRows` for a curve.
+            Feature map Phi with 6 - k rows, where k is the number of free coordinates: `MechanismRows`, or `CurveRows`
+            for a curve.
 
         Raises:
-            ConstraintError: The place of the mechanism is not known.
+            ConstraintError: The axis or point of the mechanism is not known.
         """
         maps = import_module("manip_learn.constraint.features")  # imports this module, so it is imported here
         g, reference = self.located(), self.relative_to
@@ -361,7 +364,9 @@ class Mechanism:
         return maps.MechanismRows(robot, frame, self.rows, **place, relative_to=reference)
 
     def located(self) -> Place:
-        """Return the axis, a point and the pitch.
+        """Return the axis (unit vector), point [m] and pitch [m/rad] of the mechanism.
+
+        Defaults replace a parameter that the kind does not have: the z axis, the origin, and the pitch 0.
 
         Raises:
             ConstraintError: The kind has an axis or a point that is not known.
@@ -374,20 +379,22 @@ class Mechanism:
         return Place(axis, np.zeros(3) if self.point is None else self.point, self.pitch or 0.0)
 
     def at(self, pose: ArrayLike, within: float = 0.05) -> Chart:
-        """Return the chart of a grasp; its free coordinates are 0 at the grasp pose.
+        """Return coordinates of the hand along the mechanism, relative to a grasp pose.
 
-        The coordinates are distances and angles along the mechanism, then the hand's own rotations if it may turn.
+        The coordinates are distances [m] and angles [rad] along the mechanism, then angles of rotations of the hand
+        alone if it may turn. They are 0 at the grasp pose.
 
         Args:
-            pose: Grasp pose (4, 4) of the hand, in the mechanism's frame [m].
+            pose: Grasp pose (4, 4) of the hand, in the frame of axis and point [m].
             within: Largest allowed distance of the hand from the mechanism [m]. A line has no such limit, because a
                 handle extends across the drawer.
 
         Returns:
-            The chart.
+            A `Chart`, which converts coordinates to poses of the hand and back.
 
         Raises:
-            ConstraintError: The hand is farther away, the pose is invalid, or the place of the mechanism is not known.
+            ConstraintError: The hand is farther away than `within`, the pose is invalid, or the axis or point of the
+                mechanism is not known.
 
         Example:
             >>> import numpy as np
@@ -432,17 +439,17 @@ class Mechanism:
         return Chart(grasp, *screws, is_carried=is_carried, **options)
 
     def places(self, begin: Float[np.ndarray, " 3"], s: Float[np.ndarray, "n k"]) -> Float[np.ndarray, "n 3"]:
-        """Return positions along the mechanism, e.g. as a line to draw.
+        """Return positions of the hand along the mechanism, e.g. to draw them as a line.
 
         Args:
-            begin: Position of the hand (3,) at coordinates 0, in the mechanism's frame [m].
-            s: Coordinates along the mechanism (n, k), as of `at` [m or rad].
+            begin: Position (3,) of the hand at coordinates 0, in the frame of axis and point [m].
+            s: Coordinates (n, k) along the mechanism, as defined by `at` [m or rad].
 
         Returns:
-            shape (n, 3), positions of the hand [m].
+            Positions (n, 3) [m].
 
         Raises:
-            ConstraintError: The place of the mechanism is not known.
+            ConstraintError: The axis or point of the mechanism is not known.
         """
         pose = np.eye(4)
         pose[:3, 3] = begin
@@ -456,9 +463,7 @@ class Mechanism:
         return weights.values(p)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return type, axis, point, radius, pitch, uncertainty and the freedom of the hand's orientation, ready for
-        JSON.
-        """
+        """Return a dictionary of JSON values: the attributes, and the mechanism as a sentence."""
         values = plain(self) | {"uncertainty": dict(self.uncertainty), "sentence": self.sentence}
         return {n: x for n, x in values.items() if x is not None or n not in ("relative_to", "curve")}
 
@@ -482,8 +487,9 @@ def format_vector(vector: np.ndarray | None, names: Sequence[str] = ()) -> str:
     """Return a vector as text with two decimals, or `"unknown"` for None.
 
     Args:
-        vector: A direction, a position, or a combination of rows.
-        names: Names of its entries; a vector with a single significant entry is given by that name. Default: numbers.
+        vector: A direction, a position, or a combination of rows; None if unknown.
+        names: Names of its entries: a vector with a single significant entry is printed as the name of that entry.
+            Default: the vector is always printed as numbers.
 
     Returns:
         For example `"(0.91, 0.42, 0.00)"`, or `"z"`.
@@ -499,12 +505,13 @@ def format_vector(vector: np.ndarray | None, names: Sequence[str] = ()) -> str:
 def describe_uncertainty(
     uncertainty_deg: float | None, mechanism: Mechanism | None = None, is_stated: bool = False
 ) -> str:
-    """Return the uncertainties as text, each once: `"direction known to 0.001 degrees"`.
+    """Return the uncertainties of a constraint and its mechanism as text, e.g. `"direction known to 0.001 degrees"`.
 
     Args:
         uncertainty_deg: Uncertainty of the rows [deg]; None if unknown.
         mechanism: Mechanism with the uncertainties of its parameters; None for rows alone.
-        is_stated: True if the rows state the direction of the mechanism: its axis is then called direction.
+        is_stated: True if the text before has named the direction of the rows as the mechanism's axis (a line or
+            plane): the two uncertainties are then given as one.
 
     Returns:
         The text; empty if no uncertainty is known.
@@ -526,13 +533,13 @@ def describe_uncertainty(
 
 
 def mechanism_of(kind: MechanismKind, place: Place, radius: float | None, **known: Any) -> Mechanism:
-    """Return the mechanism of a kind at a place.
+    """Build a mechanism from its kind, axis and point.
 
     Args:
-        kind: Its kind.
-        place: Its axis, point and pitch; the kind determines the applicable ones.
+        kind: Kind of the mechanism.
+        place: Its axis, point and pitch; parameters that the kind does not have are ignored.
         radius: Distance of the hand from the axis or the centre [m]; None if it does not apply.
-        known: Further attributes of `Mechanism`, which take precedence.
+        known: Other attributes of `Mechanism`, which override the values from `kind` and `place`.
 
     Returns:
         The mechanism.
@@ -547,15 +554,16 @@ def mechanism_of(kind: MechanismKind, place: Place, radius: float | None, **know
 
 
 def embed_rows(names: Sequence[str], rows: np.ndarray, *, distance: bool = False) -> Rows:
-    """Expand rows of some of (v, w) to rows of all six.
+    """Expand coefficients of some components of a twist (v, w) to coefficients of all six components.
 
     Args:
-        names: Names of the columns of `rows`, among x y z rx ry rz.
-        rows: shape (r, k).
-        distance: True for rows of [v; (p - m).v; w], with zero for the distance.
+        names: Names of the k columns of `rows`, among x y z rx ry rz.
+        rows: Coefficients (r, k).
+        distance: True to insert a column of zeros after z, for rows of [v; (p - m).v; w] as in the form
+            `"point and rotation"` of `PlaceRows`.
 
     Returns:
-        shape (r, 6), or (r, 7) with the distance.
+        shape (r, 6), or (r, 7) with the inserted column. Missing components have the coefficient 0.
     """
     out = np.zeros((len(rows), len(AXES) + distance))
     out[:, [AXES.index(name) + (distance and AXES.index(name) > 2) for name in names]] = rows
@@ -565,18 +573,20 @@ def embed_rows(names: Sequence[str], rows: np.ndarray, *, distance: bool = False
 def read_point_rows(
     selection: Rows, immovable: Rows, middle: Float[np.ndarray, " 3"], *, aligned: bool = True
 ) -> Match | None:
-    """Read the mechanism of a point, and the freedom of the hand's orientation, from rows of [v; (p - m).v; w].
+    """Identify the mechanism of a point of the hand, and the freedom of the hand's orientation.
 
-    Rows that the arm cannot move also constrain the point; they say nothing about the grip.
+    Rows are combinations of the velocities [v; (p - m).v; w] with the linear velocity v at the hand's origin p, the
+    angular velocity w, and a fixed point m, see `PlaceRows`. Combinations that the arm cannot move also constrain the
+    point, but they give no evidence for the orientation.
 
     Args:
-        selection: shape (s, k), rows that are zero.
-        immovable: shape (m, k), rows that this arm cannot move.
-        middle: m (3,), base frame [m].
-        aligned: True to require that a hand with one rotation axis turns about the axis of the mechanism.
+        selection: Combinations (s, k) that the mechanism holds at zero, k = 4 without and 7 with the angular velocity.
+        immovable: Combinations (m, k) that this arm cannot move.
+        middle: Point m (3,), base frame [m].
+        aligned: If the hand may turn about one axis only: True to require that it is the axis of the mechanism.
 
     Returns:
-        Kind and place; None if the rows are no known mechanism.
+        Kind of mechanism, and its axis and point; None if no known mechanism has these rows.
     """
     position, turning = np.concatenate([selection, immovable])[:, :4], selection[:, 4:]
     sizes = [np.linalg.svd(block, compute_uv=False) if block.size else np.zeros(0) for block in (position, turning)]
@@ -604,14 +614,14 @@ def read_point_rows(
 
 
 def read_twists(free: Float[np.ndarray, "k 6"], middle: Float[np.ndarray, " 3"]) -> Match | None:
-    """Read the mechanism that leaves some twists (v, w) free; every displacement is a screw motion (G. Chasles).
+    """Identify the mechanism that leaves a space of twists (v, w) of the hand free.
 
     Args:
-        free: Free twists (k, 6) about m, along the base's axes.
-        middle: m (3,), base frame [m].
+        free: Basis (k, 6) of the free twists, along the base's axes; v is the velocity of the hand's point at `middle`.
+        middle: Fixed point (3,), base frame [m].
 
     Returns:
-        Kind and place; None if the twists are no known mechanism.
+        Kind of mechanism, and its axis and point; None if no known mechanism leaves these twists free.
     """
     U, turning, axes = np.linalg.svd(free[:, 3:])
     turns, axis = int(np.count_nonzero(turning > MIXED)), axes[0]
@@ -642,15 +652,19 @@ def read_twists(free: Float[np.ndarray, "k 6"], middle: Float[np.ndarray, " 3"])
 
 
 def read_surface_rows(selection: Rows, middle: Float[np.ndarray, " 3"], p: Float[np.ndarray, "N 3"]) -> Match | None:
-    """Read the mechanism of rows n.v + sum B_ij (p - m)_i v_j: a cylinder, B = I - a a^T, or a helix, B = [a].
+    r"""Identify a cylinder or a helix from rows of the form `"surface"` of `PlaceRows`.
+
+    Each row is :math:`n^T v + \sum_{ij} B_{ij} (p - m)_i v_j`, with the linear velocity v at the hand's origin p and a
+    fixed point m. For an axis :math:`a`, a cylinder has :math:`B = I - a a^T`, and the second row of a helix
+    :math:`B = [a]_\times`, up to a factor.
 
     Args:
-        selection: Rows (s, 12): n, then the entries of B.
-        middle: m (3,), base frame [m].
-        p: Positions of the hand (N, 3), base frame [m].
+        selection: Rows (s, 12): n, then the nine entries of B.
+        middle: Point m (3,), base frame [m].
+        p: Positions (N, 3) of the hand, base frame [m].
 
     Returns:
-        Kind and place; None if the rows are neither.
+        Kind of mechanism, and its axis, point and pitch; None if the rows are neither.
     """
     n, B = selection[:, :3], selection[:, 3:].reshape(-1, 3, 3)
     antisymmetric = 0.5 * (B - B.transpose(0, 2, 1)).reshape(len(B), -1)
@@ -676,15 +690,17 @@ def read_surface_rows(selection: Rows, middle: Float[np.ndarray, " 3"], p: Float
 
 
 def hinge_or_screw(read: Match, hand: Float[np.ndarray, " 3"], learnt: Mapping[str, Any]) -> Match:
-    """Replace the screw of a firm grip by a hinge unless its travel exceeds three standard deviations of the row angle.
+    """Replace a screw with a firm grip by a hinge if its pitch is not significantly different from zero.
+
+    The pitch must exceed three standard deviations, which follow from the uncertainty of the rows of Lambda.
 
     Args:
-        read: Kind and place.
-        hand: Position of the hand (3,) [m].
-        learnt: Provenance of Lambda, with the error of its rows [deg]; empty if it was not learnt.
+        read: Kind of mechanism, and its axis, point and pitch.
+        hand: Position (3,) of the hand [m].
+        learnt: Provenance of the constraint, with the uncertainty of its rows [deg]; empty if it was not learnt.
 
     Returns:
-        Kind and place.
+        `read`, or a hinge with the same axis and point.
     """
     kind, place = read
     angle, radius = learnt.get("uncertainty_deg"), float(np.linalg.norm(place.point - hand))
@@ -694,14 +710,15 @@ def hinge_or_screw(read: Match, hand: Float[np.ndarray, " 3"], learnt: Mapping[s
 
 
 def fitted_mechanism(read: Mechanism, learnt: Mapping[str, Any]) -> Mechanism:
-    """Return the mechanism that was fitted to positions, with place and uncertainty, if it agrees with Lambda.
+    """Return the mechanism that the learner fitted to positions, if it agrees with the one identified from Lambda.
 
     Args:
-        read: The mechanism read from Lambda.
-        learnt: Provenance of Lambda; empty if it was not learnt.
+        read: The mechanism identified from Lambda.
+        learnt: Provenance of the constraint, with the fitted mechanism; empty if it was not learnt.
 
     Returns:
-        The fitted mechanism; `read` if there is none or it disagrees.
+        The fitted mechanism, with its uncertainty; `read` if there is none or the two differ in type, orientation or,
+        by more than about one degree, in the axis.
     """
     try:
         fitted = Mechanism.from_dict(learnt["mechanism"])

@@ -1,8 +1,9 @@
-"""Place of a mechanism, its curve, and the free coordinates of a hand on it.
+"""Axis and point of a mechanism, its curve, and the free coordinates of a hand on it.
 
-The weights W(p) of a hand's twist (v, w) in the rows of a mechanism are f(p).v + g(p).w. With the origin p of the hand,
-the axis a (unit length) through the point c, d = p - c, x = d - (a.d) a and rho = |x|, f and g are affine in p on a
-mechanism of known radius; rows for a hand at any distance are normalised to unit length.
+A hand with the origin p moves with the twist (v, w): linear velocity v of its origin, and angular velocity w. Each row
+of a mechanism is a velocity f(p).v + g(p).w; its six coefficients f and g form a row of the weight matrix W(p). With
+the axis `a` (unit length) through the point c, let d = p - c, x = d - (a.d) a and rho = |x|. On a mechanism of known
+radius, f and g are affine in p; rows for a hand at any distance are normalised to unit length.
 
 A mechanism displaces a body fixed to it by g(s) of SE(3), g(0) = 1: the exponential of its screws, g(s) = exp(sum_i s_i
 X_i) (R. W. Brockett, "Robotic Manipulators and the Product of Exponentials Formula", 1984), or the frame that moves
@@ -43,11 +44,11 @@ DISTANCE_ROWS = ("radial", "tangential", "helical", "spherical")  # rows that de
 @final
 @dataclass(frozen=True, eq=False)
 class Place:
-    """Place of a mechanism in the base frame.
+    """Axis, point and pitch of a mechanism in the base frame.
 
     Attributes:
-        axis: Unit vector a.
-        point: A point c on the axis, or the centre of a ball [m].
+        axis: Unit vector along the axis.
+        point: A point on the axis, or the centre of a ball [m].
         pitch: Travel along the axis per radian of rotation [m/rad].
     """
 
@@ -56,34 +57,34 @@ class Place:
     pitch: float = 0.0
 
     def canonical(self) -> Place:
-        """Return this place with its axis in the reported direction: its largest component is positive.
+        """Return an equal place whose axis has the sign used in reports: its largest component is positive.
 
-        The pitch does not change: with a reversed axis both rotation and travel change sign.
+        The pitch does not change, because rotation and travel both change sign with the axis.
         """
         sense = 1.0 if self.axis[int(np.argmax(np.abs(self.axis)))] > 0.0 else -1.0
         return Place(sense * self.axis, self.point, self.pitch)
 
     def moved(self, step: Float[np.ndarray, " 7"]) -> Place:
-        """Return the place after a step of the seven numbers axis, point, pitch.
+        """Return the place with its axis, point and pitch changed by a small step, e.g. of an optimisation.
 
         Args:
-            step: shape (7,): changes of the axis, of the point [m] and of the pitch [m/rad].
+            step: shape (7,): changes of the axis (3), of the point (3) [m] and of the pitch [m/rad].
 
         Returns:
-            The place, with an axis of unit length.
+            The new place; its axis is normalised to unit length.
         """
         axis = self.axis + step[:3]
         return Place(axis / np.linalg.norm(axis), self.point + step[3:6], self.pitch + float(step[6]))
 
 
 def across(axis: Float[np.ndarray, " 3"]) -> Float[np.ndarray, "2 3"]:
-    """Return two unit vectors that complete a unit vector to a right-handed orthonormal basis (first, second, axis).
+    """Return two unit vectors across an axis; the two and the axis form a right-handed orthonormal basis in this order.
 
     Args:
-        axis: Unit vector.
+        axis: Unit vector (3,).
 
     Returns:
-        shape (2, 3).
+        The two vectors as rows, shape (2, 3).
     """
     a = axis.tolist()  # floats are faster than arrays for three numbers
     least = min(range(3), key=lambda i: abs(a[i]))
@@ -95,24 +96,29 @@ def across(axis: Float[np.ndarray, " 3"]) -> Float[np.ndarray, "2 3"]:
 
 
 def mechanism_weights(names: tuple[str, ...], place: Place, radius: float | None) -> PlaceWeights:
-    """Return the weights of rows of `MechanismRows`.
+    r"""Return the weights W(p) that turn the twist (v, w) of a hand into rows of `MechanismRows`.
 
-    - `radial` f = x / rho; `tangential` f = a x x / rho; `spherical` f = d / |d|;
-    - `helical` f = (rho^2 a - h a x x) / (rho sqrt(rho^2 + h^2)), orthogonal to the velocity a x x + h a of a point
-      that a screw of pitch h moves;
-    - `axial` f = a and `across-1`, `across-2`; `turn` g = a and `turn-1`, `turn-2`;
-    - `slide` and `screw`, the velocity e.(v + w x (c - p)) - h e.w of the hand's point that is at c: f = e and g = (c -
-      p) x e - h e.
+    Each row is f.v + g.w. With the axis `a`, point c and pitch h of the place, :math:`d = p - c`,
+    :math:`x = d - (a^T d) \, a` and :math:`\rho = |x|`:
 
-    With a radius, rho (and |d|) in these formulas are that number; without a radius they are the hand's own distances.
+    - `radial`: :math:`f = x / \rho`; `tangential`: :math:`f = a \times x / \rho`; `spherical`: :math:`f = d / |d|`;
+    - `helical`: :math:`f = (\rho^2 a - h \, a \times x) / (\rho \sqrt{\rho^2 + h^2})`, orthogonal to the velocity
+      :math:`a \times x + h a` of a point that a screw moves;
+    - `axial`: :math:`f = a`; `across-1` and `across-2`: f is one of two fixed directions across the axis;
+    - `turn`: :math:`g = a`; `turn-1` and `turn-2`: g is one of the same two directions;
+    - `slide`, `slide-1` and `slide-2`, for a direction e of these three: :math:`f = e`,
+      :math:`g = (c - p) \times e`, the velocity of the hand's point that is at c; `screw`: :math:`f = a`,
+      :math:`g = (c - p) \times a - h a`.
+
+    If `radius` is given, it replaces rho and |d| in these formulas.
 
     Args:
-        names: Names of the rows, from `ROW_UNITS`.
+        names: Names of the r rows, from `ROW_UNITS`.
         place: Axis, point [m] and pitch [m/rad].
         radius: Distance of the hand from the axis or the centre [m]; None for any distance.
 
     Returns:
-        W(p), one row per name.
+        The weights, whose `values` gives W (n, r, 6) at n positions.
     """
     a, c, h = place.axis, place.point, place.pitch
     directions = dict(zip("12", across(a), strict=True))
@@ -141,14 +147,27 @@ def mechanism_weights(names: tuple[str, ...], place: Place, radius: float | None
 @final
 @dataclass(frozen=True, eq=False)
 class PlaceWeights:
-    """W(p) = T_0 + sum_k p_k T_k; row i weighs (v, w) of a frame whose origin is at p, in the base frame.
+    r"""Weight matrix of the rows of a mechanism, as a function of the position p (3,) of a frame's origin.
+
+    The product of W(p) (r, 6) and the twist (v, w) of the frame in the base frame gives r velocities.
+
+    .. math::
+
+        W(p) = T_0 + \sum_k p_k T_k
+
+    Some rows are then normalised. With the entries y (3,) of such a row for v, its direction b and pitch h in `free`,
+    and :math:`\varepsilon` = `ON_AXIS`, the entries for v become
+
+    .. math::
+
+        \frac{y}{\sqrt{|y|^2 + \varepsilon^2}} \quad (b = 0), \qquad
+        \frac{|y|^2 \, b - h \, y}{\sqrt{(|y|^2 + \varepsilon^2)(|y|^2 + h^2 + \varepsilon^2)}} \quad
+        \text{(a helix about } b \text{)}
 
     Attributes:
         constant: T_0, shape (r, 6).
-        by_place: T_k, shape (r, 6, 3).
-        free: Row number -> direction b and pitch h, for rows whose weights of v, y = T_0 + sum_k p_k T_k, are
-            normalised: y / sqrt(|y|^2 + e^2) with e = `ON_AXIS` if b is zero, else the weights of a helix about b at
-            any distance, (|y|^2 b - h y) / sqrt((|y|^2 + e^2) (|y|^2 + h^2 + e^2)).
+        by_place: The three matrices T_k, shape (r, 6, 3).
+        free: Index of each row to normalise -> direction b (3,) and pitch h [m/rad].
     """
 
     constant: Float[np.ndarray, "r 6"]
@@ -156,13 +175,13 @@ class PlaceWeights:
     free: Mapping[int, tuple[Float[np.ndarray, " 3"], float]] = field(default_factory=dict)
 
     def values(self, p: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n r 6"]:
-        """Return W(p) at n positions.
+        """Return the weight matrix W(p) at n positions of the hand's origin.
 
         Args:
             p: Positions (n, 3) [m].
 
         Returns:
-            shape (n, r, 6).
+            W, shape (n, r, 6).
         """
         W = self.constant + (p @ self.by_place.reshape(-1, 3).T).reshape(len(p), -1, 6)
         for i, (b, h) in self.free.items():
@@ -173,7 +192,7 @@ class PlaceWeights:
         return W
 
     def at(self, p: Float[np.ndarray, "n 3"]) -> tuple[Float[np.ndarray, "n r 6"], Float[np.ndarray, "n r 6 3"]]:
-        """Return W(p) and dW/dp at n positions.
+        """Return the weight matrix W(p) and its derivative at n positions of the hand's origin.
 
         Args:
             p: Positions (n, 3) [m].
@@ -203,20 +222,21 @@ LARGEST_OFFSET = 0.95
 
 @final
 class Curve:
-    """Smooth curve through points, parametrised by its length, straight beyond both ends.
+    """Smooth curve through points, parametrised by the length along it, straight beyond both ends.
 
-    Natural cubic splines, first over the chord length and then over the length of the curve itself (so that the tangent
-    has unit length to 1e-4 or better). The frame across the curve does not rotate about it (R. L. Bishop, 1975).
+    It is a natural cubic spline over the chord length, fitted again over the length of the first spline, so that the
+    tangent has unit length to 1e-4 or better. The two directions across the curve do not rotate about the tangent (R.
+    L. Bishop, 1975).
 
     Args:
         points: Points in order, at least four, shape (k, 3) [m].
 
     Attributes:
-        points: The same points, read-only.
+        points: The points, shape (k, 3), read-only.
         length: Length from the first to the last point [m].
 
     Raises:
-        FeatureError: Fewer points, points that are not finite, or two consecutive points at the same position.
+        FeatureError: Fewer than four points, points that are not finite, or two consecutive points at one position.
     """
 
     def __init__(self, points: ArrayLike):
@@ -237,14 +257,14 @@ class Curve:
         self.length = float(lengths[-1])
 
     def at(self, s: Float[np.ndarray, " n"], order: int = 0) -> Float[np.ndarray, "n 3"]:
-        """Return positions or their derivatives at lengths along the curve.
+        """Return positions on the curve, or their derivatives with respect to the length along it.
 
         Args:
-            s: Lengths (n,) [m].
-            order: Order of the derivative by the length, 0 to 3; 0 for the position.
+            s: Lengths (n,) along the curve from its first point [m].
+            order: Order of the derivative, 0 to 3; 0 for the position.
 
         Returns:
-            shape (n, 3) [m, divided by m for each order].
+            shape (n, 3): positions [m], or derivatives [m / m^order].
         """
         inside = np.clip(s, 0.0, self.length)
         beyond, value = s - inside, self._spline(inside, order)
@@ -280,11 +300,11 @@ class Curve:
         return CubicSpline(s, np.array(frames), bc_type="clamped")
 
     def frame(self, s: Float[np.ndarray, " n"], order: int = 0) -> Float[np.ndarray, "n 2 3"]:
-        """Return two unit vectors across the curve, or their derivatives.
+        """Return two unit vectors across the curve, or their derivatives with respect to the length along it.
 
         Args:
             s: Lengths (n,) along the curve [m].
-            order: Order of the derivative by the length; 0 for the vectors.
+            order: Order of the derivative; 0 for the vectors.
 
         Returns:
             shape (n, 2, 3).
@@ -294,7 +314,7 @@ class Curve:
         return value if order == 0 else np.where((s == inside)[:, None, None], value, 0.0)
 
     def frames(self, s: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n 3 3"]:
-        """Return rotations whose columns are the tangent and two directions across the curve.
+        """Return rotation matrices whose columns are the tangent and the two directions across the curve.
 
         Args:
             s: Lengths (n,) along the curve [m].
@@ -308,13 +328,13 @@ class Curve:
         return np.stack([tangent, normal, np.cross(tangent, normal)], axis=2)
 
     def nearest(self, p: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, " n"]:
-        """Return the lengths of the nearest points of the curve, including its straight ends.
+        """Return the length along the curve at which it is nearest to each position.
 
         Args:
             p: Positions (n, 3) [m].
 
         Returns:
-            shape (n,) [m]; negative before the first point.
+            Lengths (n,) [m]: negative on the straight extension before the first point, above `length` after the last.
         """
         # the search starts at the nearest of three samples per segment
         samples = np.linspace(0.0, self.length, 3 * (len(self.points) - 1) + 1)
@@ -329,10 +349,10 @@ class Curve:
         return s
 
     def weights(self, p: Float[np.ndarray, "n 3"]) -> tuple[Float[np.ndarray, "n 6 6"], Float[np.ndarray, "n 6 6 3"]]:
-        """Return the weights of all `CURVE_ROWS` and their derivatives by the position.
+        """Return the weights W(p) of all six `CURVE_ROWS`, and their derivatives with respect to the position.
 
         Args:
-            p: Positions (n, 3) [m].
+            p: Positions (n, 3) of the hand's origin [m].
 
         Returns:
             W (n, 6, 6) and dW/dp (n, 6, 6, 3).
@@ -353,10 +373,10 @@ class Curve:
         return W, dW
 
     def moved(self, transform: Float[np.ndarray, "4 4"]) -> Curve:
-        """Return this curve after a rigid motion, p' = R p + t.
+        """Return this curve after a rigid motion, which moves each point p to p' = R p + t.
 
         Args:
-            transform: shape (4, 4) [m].
+            transform: Homogeneous matrix (4, 4) of R and t [m].
 
         Returns:
             The moved curve.
@@ -367,7 +387,7 @@ class Curve:
 @final
 @dataclass(frozen=True, eq=False)
 class CurveWeights:
-    """Weights W(p) of some rows across and along a curve, as `PlaceWeights`.
+    """Weight matrix of some rows across and along a curve; it has the methods of `PlaceWeights`.
 
     Attributes:
         curve: The curve.
@@ -378,18 +398,18 @@ class CurveWeights:
     names: tuple[str, ...]
 
     def values(self, p: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n r 6"]:
-        """Return W(p) at n positions.
+        """Return the weight matrix W(p) at n positions of the hand's origin.
 
         Args:
             p: Positions (n, 3) [m].
 
         Returns:
-            shape (n, r, 6).
+            W, shape (n, r, 6).
         """
         return self.at(p)[0]
 
     def at(self, p: Float[np.ndarray, "n 3"]) -> tuple[Float[np.ndarray, "n r 6"], Float[np.ndarray, "n r 6 3"]]:
-        """Return W(p) and dW/dp at n positions.
+        """Return the weight matrix W(p) and its derivative at n positions of the hand's origin.
 
         Args:
             p: Positions (n, 3) [m].
@@ -410,22 +430,24 @@ def _reflected(vectors: Float[np.ndarray, "k 3"], normal: Float[np.ndarray, " 3"
 
 @final
 class Chart:
-    """Free coordinates s (k,) of a hand relative to its grasp pose.
+    """Coordinates s (k,) of a hand on a mechanism, one per free direction, relative to its grasp pose.
 
-    Distances [m] and angles [rad] along the mechanism come first, then the angles by which the hand turns by itself.
+    Distances [m] and angles [rad] along the mechanism come first, then the angles of rotations of the hand that the
+    mechanism does not follow. The formulas are in the docstring of this module. All poses are in one frame, the
+    mechanism's.
 
     Args:
-        grasp: Grasp pose (4, 4) of the hand [m]; s = 0 there.
-        travel: shape (k, 3), and
-        turn: shape (k, 3): X_i = (v_i, w_i) [m, rad per unit of s_i]: the velocity at the origin, and the angular
-            velocity.
-        spin: shape (k, 3): c_i, the rotation of the hand by itself [rad per unit of s_i].
-        is_carried: True if the hand turns with the mechanism. Its rotation then determines the angle, otherwise its
-            position.
-        centre: shape (3,), a fixed point of the pure rotations [m]; None for the point of a single screw's axis nearest
-            to the origin.
-        curve: Curve that the hand follows, instead of screws.
-        rows: Position (1, 3) -> weights (1, h, 6) of the hand's twist in the h held rows.
+        grasp: Grasp pose (4, 4) of the hand [m], at which s = 0.
+        travel: Linear velocity at the frame's origin per unit of each coordinate, shape (k, 3) [m].
+        turn: Angular velocity of the mechanism per unit of each coordinate, shape (k, 3) [rad].
+        spin: Rotation of the hand alone per unit of each coordinate, shape (k, 3) [rad].
+        is_carried: True if the hand turns with the mechanism. The angle is then computed from the orientation of the
+            hand, otherwise from its position.
+        centre: shape (3,), a point on the axes of the pure rotations [m]; None for the point of a single axis that is
+            nearest to the origin.
+        curve: Curve that the hand follows, used instead of `turn`; None if there is none.
+        rows: Function from a position (1, 3) of the hand to the weights (1, h, 6) of its twist in the h held rows; only
+            needed for `held_error`.
         sizes: Factors that give the coordinates along the mechanism one unit: on a cylinder, angles become arcs [m].
     """
 
@@ -463,8 +485,8 @@ class Chart:
         """Return the free coordinates of a hand, at one pose or along a motion.
 
         Args:
-            pose: Pose (4, 4) of the hand, or (T, 4, 4) for a motion, whose angles are then unwrapped [m].
-            near: Angle near which the first angle is chosen among angles that differ by full turns [rad].
+            pose: Pose (4, 4) of the hand, or poses (T, 4, 4) of a motion, whose angles are then unwrapped [m].
+            near: Expected first angle [rad]: among angles that differ by full turns, the nearest one is returned.
 
         Returns:
             shape (k,) or (T, k) [m or rad].
@@ -495,10 +517,10 @@ class Chart:
         """Return the pose of the hand at free coordinates.
 
         Args:
-            s: Coordinates (k,) [m or rad]; missing ones at the end are 0.
+            s: Coordinates (k,) [m or rad]. Fewer than k are allowed; the missing last ones are 0.
 
         Returns:
-            shape (4, 4) [m].
+            Pose (4, 4) [m].
         """
         s, out, place = self._whole(s), self.grasp.copy(), self._p
         if self._curve is not None:
@@ -518,14 +540,14 @@ class Chart:
         return out
 
     def twist(self, s: ArrayLike, pose: Float[np.ndarray, "4 4"] | None = None) -> Float[np.ndarray, "6 k"]:
-        """Return the twist (v, w) of the hand's origin per unit of each coordinate.
+        """Return the twist (v, w) of the hand per unit of each coordinate, with v the velocity of its origin.
 
         Args:
-            s: Free coordinates (k,) [m or rad]; missing ones at the end are 0.
-            pose: Pose (4, 4) of a hand that is off the mechanism; None for a hand on it.
+            s: Free coordinates (k,) [m or rad]. Fewer than k are allowed; the missing last ones are 0.
+            pose: Pose (4, 4) of the hand if it deviates from the mechanism [m]; None for the pose at `s`.
 
         Returns:
-            shape (6, k).
+            shape (6, k) [m, rad per unit of the coordinate].
         """
         s, K = self._whole(s), np.zeros((6, len(self.spin)))
         p = (self.pose(s) if pose is None else pose)[:3, 3]
@@ -549,16 +571,18 @@ class Chart:
         return s if len(s) == len(self.spin) else np.append(s, np.zeros(len(self.spin) - len(s)))
 
     def error(self, pose: Float[np.ndarray, "4 4"], s: ArrayLike) -> Float[np.ndarray, " 6"]:
-        """Return the twist from the pose of free coordinates to the pose of the hand [m, rad].
+        """Return the displacement from the pose at some coordinates to the actual pose of the hand.
 
-        For a carried hand, the linear part is the displacement of the hand's point at the centre.
+        If the hand turns with a mechanism that rotates, the linear part is corrected for the rotation: it is zero if
+            the
+        hand's point at the centre of the mechanism has not moved.
 
         Args:
-            pose: Pose (4, 4) of the hand [m].
+            pose: Actual pose (4, 4) of the hand [m].
             s: Free coordinates (k,) [m or rad].
 
         Returns:
-            shape (6,), along the axes of the mechanism's frame.
+            shape (6,): translation [m] and rotation vector [rad], along the axes of the mechanism's frame.
         """
         goal, out = self.pose(s), np.empty(6)
         rotation = pose[:3, :3] @ goal[:3, :3].T
@@ -569,18 +593,19 @@ class Chart:
         return out
 
     def heading(self, pose: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, " 6"]:
-        """Return the twist of the hand's linear motion along the first coordinate, with the rotation of the mechanism.
+        """Return the direction in which the first coordinate increases: velocity of the hand, and rotation.
 
         Args:
-            pose: Pose (4, 4) of the hand [m].
+            pose: Pose (4, 4) of the hand [m]; the chart's grasp pose is used for the coordinates.
 
         Returns:
-            shape (6,): velocity of the hand and angular velocity, per unit of the coordinate.
+            shape (6,): velocity of the hand's origin [m], and sum of the rotations of the mechanism and of the hand
+            alone [rad], per unit of the coordinate.
         """
         return np.append(self.twist([], pose)[:3, 0], self.turn[0] + self.spin[0])
 
     def held_error(self, pose: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, " h"]:
-        """Return the deviation of a hand from the mechanism along the held rows.
+        """Return the deviation of a hand from the mechanism, along the rows that the mechanism holds at zero.
 
         It is measured from the pose on the mechanism with the same free coordinates.
 
@@ -588,7 +613,7 @@ class Chart:
             pose: Pose (4, 4) of the hand [m].
 
         Returns:
-            shape (6 - k,) [m or rad].
+            shape (h,), one deviation per held row [m or rad].
         """
         return self._rows(pose[None, :3, 3])[0] @ self.error(pose, self.coordinates(pose))  # type: ignore[misc]
 

@@ -1,4 +1,4 @@
-"""Demonstrated motion along the free directions of a constraint: place, direction, distance and speed."""
+"""Demonstrated motion along the free directions of a constraint: start, direction, distance and speed."""
 
 from __future__ import annotations
 
@@ -29,16 +29,17 @@ START_SHARE = 0.02  # share of the distance after which a motion counts as start
 def straight_motion(
     features: FeatureMap, selection: Selection, in_hand: int, contacts: Sequence[np.ndarray]
 ) -> Mechanism | None:
-    """Return the line, the plane or the space in which a constraint leaves the hand's position free.
+    """Return the line, plane or space of the positions that a constraint leaves free, as a mechanism.
 
     Args:
-        features: Phi.
+        features: Feature map Phi.
         selection: Lambda (s, p) with orthonormal rows.
-        in_hand: Number of free directions along the hand's own axes; 0 if unknown.
-        contacts: Poses of the hand along each contact, shape (T, 4, 4) each, base frame [m].
+        in_hand: Number of free translations along axes that turn with the hand, whose directions are then taken from
+            the motion; 0 if the rows are not along such axes.
+        contacts: Poses of the hand during each contact, shape (T, 4, 4) each, base frame [m].
 
     Returns:
-        The mechanism; None if no direction is free.
+        The mechanism, see `straight_mechanism`; None if no translation is free.
     """
     axes = np.zeros((0, 3))
     if in_hand:  # take the directions in which the hand moved
@@ -53,13 +54,13 @@ def straight_motion(
 
 
 def straight_mechanism(axes: Float[np.ndarray, "k 3"]) -> Mechanism | None:
-    """Return the line, the plane or the space in which a hand moves along some directions.
+    """Return the mechanism that leaves some translations of the hand free.
 
     Args:
         axes: Free directions (k, 3), linearly independent.
 
     Returns:
-        The mechanism, without a point; None unless k is 1, 2 or 3.
+        A line (k = 1), a plane (k = 2) or a held orientation (k = 3), without a point; None for another k.
     """
     types = {1: "line", 2: "plane", 3: "held-orientation"}
     if len(axes) not in types:
@@ -81,26 +82,28 @@ class Shown:
         extent: Distance from the start of a contact to its farthest point, median.
         spread: Standard deviation of this distance.
         least, most: Shortest and longest of these distances.
-        span: Range between the first and the last position along the path over all contacts; on a surface, the longest
-            distance.
-        speed: Mean outbound speed, median [m/s or rad/s].
-        seconds: Time from the start of the motion to its farthest point, for a path on a surface to its end; median
-            [s].
+        span: Length of the interval that all contacts together cover along the path; of the longest contact if the hand
+            turns with the mechanism. With several free directions, the longest distance.
+        speed: Mean speed until the farthest point, or over the whole path if there are several free directions; median
+            over the contacts [m/s or rad/s].
+        seconds: Time from the start of the motion to its farthest point, or to its end if there are several free
+            directions; median over the contacts [s].
         back: True if the hand returned to the start.
         n: Number of contacts.
         hold: shape (3,), median start of the contacts [m]; None if they scatter by more than 3 mm.
         scatter: Largest distance of a start from this median [m].
-        path: shape (T, k), path of the most typical contact along the free coordinates [m or rad].
+        path: shape (T, k), free coordinates along the path of the most typical contact [m or rad].
         time: shape (T,), time along the path [s], from 0.
         begin: shape (3,), start of the path: `hold`, or the start of the typical contact [m].
         orientation: shape (3, 3), orientation of the hand at the start of the typical contact.
         turned: Largest angle between this orientation and the other contacts' at their starts [rad].
-        one_way: True if the recordings agree on a direction; always True for paths on a surface.
+        one_way: True if the recordings agree on a direction; always True with several free directions.
         mechanism: Mechanism that the hand follows, in the direction of the recordings.
         force: Largest force of the hand, median over the contacts [N]; None if no efforts were recorded, or if they
             show no such force, e.g. for a hand-guided arm.
         start: shape (k,), median coordinates of the contacts' starts, relative to `begin` [m or rad].
-        hand: shape (T, 3), rotation vectors of the typical hand relative to its start [rad]; empty in files of 0.2.
+        hand: shape (T, 3), orientation of the hand along `path`, as rotation vectors relative to the start [rad]; empty
+            in files of version 0.2.
         grasps: shape (n, 4, 4), grasp poses at the starts of at most 24 contacts [m].
     """
 
@@ -130,25 +133,25 @@ class Shown:
 
     @property
     def is_way(self) -> bool:
-        """True if there is one free direction, so that the extent is a distance along it."""
+        """True if the mechanism has one free direction, so that `extent` is a distance along it."""
         return self.chart.n_ways == 1
 
     @property
     def chart(self) -> Chart:
-        """Chart of the hand at the start of the path."""
+        """Coordinates along the mechanism, with the start of the path as grasp pose."""
         pose = np.eye(4)
         pose[:3, :3], pose[:3, 3] = self.orientation, self.begin
         return self.mechanism.at(pose, np.inf)
 
     @property
     def poses(self) -> Float[np.ndarray, "T 4 4"]:
-        """Poses along the path, of a hand that turns with the mechanism only [m]."""
+        """Poses (T, 4, 4) along the path in the base frame [m], without rotations of the hand alone."""
         chart = self.chart
         return np.array([chart.pose(c / chart.sizes) for c in self.path])
 
     @property
     def points(self) -> Float[np.ndarray, "T 3"]:
-        """Positions along the path, in the base frame [m]."""
+        """Positions (T, 3) along the path, in the base frame [m]."""
         return self.poses[:, :3, 3]
 
     @cached_property
@@ -159,10 +162,12 @@ class Shown:
         return np.maximum.accumulate(ways)
 
     def turned_at(self, distance: float) -> Float[np.ndarray, "3 3"]:
-        """Return the orientation of the typical hand at a distance along the path; not available in files of 0.2.
+        """Return the demonstrated orientation of the hand at a distance along the path.
+
+        The motion must have `hand`, which files of version 0.2 lack.
 
         Args:
-            distance: Distance along the path [m or rad].
+            distance: Distance along the path from its start [m or rad].
 
         Returns:
             Rotation matrix (3, 3) in the base frame.
@@ -170,26 +175,26 @@ class Shown:
         return rotation_matrix(np.array([np.interp(distance, self._ways, x) for x in self.hand.T])) @ self.orientation
 
     def place_before(self, pose: Float[np.ndarray, "4 4"], far: Float[np.ndarray, " k"]) -> Float[np.ndarray, " 3"]:
-        """Return the position of a hand that moves back from a pose.
+        """Return the position from which the hand would have reached a pose by moving along the mechanism.
 
         Args:
             pose: Pose (4, 4) of the hand [m].
-            far: Coordinates (k,) to go back [m or rad].
+            far: Path coordinates (k,) covered since that position [m or rad].
 
         Returns:
-            shape (3,), in the frame of the mechanism [m].
+            Position (3,) in the mechanism's frame [m].
         """
         chart = self.mechanism.at(pose, np.inf)
         return chart.pose(-far / chart.sizes)[:3, 3]
 
     def along(self, poses: Float[np.ndarray, "T 4 4"]) -> Float[np.ndarray, "T k"]:
-        """Return the path coordinates of a hand along a motion.
+        """Return the path coordinates of another motion of the hand.
 
         Args:
             poses: Poses (T, 4, 4) of the hand [m].
 
         Returns:
-            shape (T, k) [m or rad], 0 at the first pose.
+            Coordinates (T, k) along the mechanism [m or rad], 0 at the first pose.
         """
         return _ways(self.mechanism, poses)
 
@@ -211,10 +216,10 @@ class Shown:
         return f"Shown({self.sentence})"
 
     def moved(self, transform: Float[np.ndarray, "4 4"]) -> Shown:
-        """Return the same motion after a rigid motion of the fixtures, p' = R p + t.
+        """Return the demonstrated motion for fixtures (e.g. a cabinet) that were moved by p' = R p + t.
 
         Args:
-            transform: shape (4, 4), base frame [m].
+            transform: Homogeneous matrix (4, 4) of R and t, in the base frame [m].
 
         Returns:
             The moved record.
@@ -225,7 +230,7 @@ class Shown:
         return replace(self, **places, **turned, mechanism=self.mechanism.moved(transform))
 
     def to_dict(self) -> dict[str, Any]:
-        """Return numbers and lists for a constraint file."""
+        """Return the attributes as a dictionary of JSON values, rounded to 6 decimals."""
         return plain(self, 6)
 
     @staticmethod
@@ -233,10 +238,10 @@ class Shown:
         """Build the record from the output of `to_dict`.
 
         Args:
-            content: The output of `to_dict`, also from 0.2.
+            content: The output of `to_dict`, also of version 0.2.
 
         Returns:
-            The record; None if the content is anything else.
+            The record; None if the content is not a valid record, e.g. None.
         """
         try:
             return from_plain(Shown, content if "mechanism" in content else {**content, **_of_02(content)})
@@ -272,16 +277,17 @@ def _ways(mechanism: Mechanism, poses: Float[np.ndarray, "T 4 4"]) -> Float[np.n
 def demonstrated_motion(
     features: FeatureMap, selection: Selection, mechanism: Mechanism | None, contacts: Sequence[Trajectory]
 ) -> Shown | None:
-    """Return the demonstrated motion along the free directions of a constraint.
+    """Summarise the demonstrated motion along the free directions of a constraint.
 
     Args:
-        features: Phi.
+        features: Feature map Phi.
         selection: Lambda (s, p) with orthonormal rows.
-        mechanism: Mechanism of these rows; None if there is none.
-        contacts: The contacts with the constraint, each from its start.
+        mechanism: Mechanism that these rows describe; None if it is not known.
+        contacts: One trajectory per contact with the constraint, each from the start of the contact.
 
     Returns:
-        The motion; None if no frame's position is free, or if the hand did not move.
+        The motion; None if the features have no frame, if no translation or known mechanism is free, or if the hand did
+        not move.
     """
     contacts = [contact for contact in contacts if len(contact) > 1]
     if not contacts or features.twist is None:
@@ -450,9 +456,9 @@ class Take:
 
     Attributes:
         name: Name of the recording.
-        time: shape (k,), time from the start of the contact [s].
-        q: shape (k, nv), joint positions, thinned [rad or m].
-        end: Time at which the contact ended [s].
+        time: shape (k,), time from the start of the contact, negative before it [s].
+        q: shape (k, nv), joint positions at these times, thinned out to at most 80 [rad or m].
+        end: Time from the start to the end of the contact [s].
         moved: shape (4, 4): rigid motion of the fixtures since the recording, p' = R p + t [m].
     """
 
@@ -464,12 +470,14 @@ class Take:
 
     @staticmethod
     def of(robot: Any, whole: Trajectory, since: float, begin: float, end: float, until: float) -> Take:
-        """Build a take from a recording, thinned evenly along its path before, during and after a contact.
+        """Build a take from one contact of a recording.
+
+        The samples before, during and after the contact are thinned out evenly along the joint path.
 
         Args:
             robot: The robot.
-            whole: The recording.
-            since: End of the contact before [s].
+            whole: The recording; the following times are on its time axis.
+            since: End of the previous contact [s].
             begin: Start of the contact, the time of a sample [s].
             end: End of the contact, the time of a sample [s].
             until: Start of the next contact [s].
@@ -491,21 +499,21 @@ class Take:
 
     @property
     def before(self) -> Float[np.ndarray, "k nv"]:
-        """Joint positions up to the first sample of the contact."""
+        """Joint positions (n, nv) up to the first sample of the contact [rad or m]."""
         return self.q[self.time <= 0.0]
 
     @property
     def along(self) -> Float[np.ndarray, "k nv"]:
-        """Joint positions of the contact."""
+        """Joint positions (n, nv) during the contact [rad or m]."""
         return self.q[(self.time >= 0.0) & (self.time <= self.end)]
 
     @property
     def after(self) -> Float[np.ndarray, "k nv"]:
-        """Joint positions from the last sample of the contact."""
+        """Joint positions (n, nv) from the last sample of the contact on [rad or m]."""
         return self.q[self.time >= self.end]
 
     def to_dict(self) -> dict[str, Any]:
-        """Return numbers and lists for a skill's file."""
+        """Return the attributes as a dictionary of JSON values, as in a skill file."""
         plain = {"name": self.name, "time": np.round(self.time, 4).tolist(), "q": np.round(self.q, 5).tolist()}
         return plain | {"end": round(self.end, 4), "moved": self.moved.tolist()}
 
@@ -526,15 +534,21 @@ class Take:
 @final
 @dataclass(frozen=True, eq=False)
 class Intention:
-    """b = gain (r* - Lambda r(q)): the point towards which the constrained rows were driven.
+    r"""Point attractor towards which a demonstrator drove the constrained directions on purpose.
+
+    .. math::
+
+        A(q) \, u = b = k \, (r^* - \Lambda \, r(q))
+
+    with the task coordinates r(q) of the features, see `FeatureMap.coordinates`.
 
     Attributes:
-        target: shape (s,), r* along the rows of Lambda, mean over the recordings [m or rad].
-        gain: Rate of approach [1/s].
-        targets: shape (n, s), target of each recording.
-        spread: Root mean square distance of these from their mean [m or rad].
-        common: True if they are one target.
-        unexplained: Share of the rows' motion that the attractor does not explain.
+        target: Target :math:`r^*` along the rows of Lambda, mean over the recordings, shape (s,) [m or rad].
+        gain: Gain k of the attractor [1/s].
+        targets: Target of each recording, shape (n, s) [m or rad].
+        spread: Root mean square distance of the targets from their mean [m or rad].
+        common: True if the targets are close enough together to count as one.
+        unexplained: Share of the motion energy along the rows that the attractor does not explain, 0 to 1.
     """
 
     target: Float[np.ndarray, " s"]
@@ -553,7 +567,7 @@ class Intention:
         return f"The recordings go to one target, {where} along the steered rows, at a rate of {self.gain:.2g} /s."
 
     def to_dict(self) -> dict[str, Any]:
-        """Return numbers and lists for a constraint file."""
+        """Return the attributes as a dictionary of JSON values."""
         return plain(self)
 
     @staticmethod
@@ -564,7 +578,7 @@ class Intention:
             content: The output of `to_dict`.
 
         Returns:
-            The record; None if the content is anything else.
+            The record; None if the content is not a valid record, e.g. None.
         """
         try:
             return from_plain(Intention, content)
@@ -575,17 +589,20 @@ class Intention:
 def fit_intention(
     features: FeatureMap, selection: Selection, recordings: Sequence[tuple[np.ndarray, np.ndarray]]
 ) -> Intention | None:
-    """Fit the attractor that explains the motion of the rows.
+    """Fit a point attractor to the motion along the constrained directions.
 
-    One gain for all recordings and a target for each, by least squares of Lambda Phi(q) u on Lambda r(q).
+    Least squares of the velocities Lambda Phi(q) u on the coordinates Lambda r(q) give one gain for all recordings, and
+    a target for each.
 
     Args:
-        features: Phi.
+        features: Feature map Phi.
         selection: Lambda (s, p).
-        recordings: Configurations (T, n) [rad or m] and velocities (T, nv) [rad/s or m/s] of each recording.
+        recordings: Joint configurations (T, nq) or positions (T, nv) [rad or m], and velocities (T, nv) [rad/s or m/s],
+            of each recording.
 
     Returns:
-        The attractor; None if none fits, or if the rows have no coordinates.
+        The attractor; None if it leaves more than a tenth of the motion energy unexplained, or if the features have no
+        task coordinates.
     """
     # two numbers per row are fitted: more than 2000 samples only cost time
     step = max(1, sum(len(q) for q, _ in recordings) // 2000)

@@ -28,15 +28,17 @@ class Step:
     """One step of a skill.
 
     Attributes:
-        kind: `"reach"`: a motion through free space to the start of the next way, or to the end of the recordings;
-            `"way"`: a motion along the free directions of a constraint.
-        constraint: The constraint of a way, or the next one of a reach; None for the reach to the end of the
-            recordings.
-        shown: Demonstrated motion along the constraint in this step; None for a reach.
-        gripper: Gripper action after the grasp and before the next reach, if the recordings show one.
+        kind: `"way"` for a motion along the free directions of a constraint (contact); `"reach"` for a motion through
+            free space to the start of the next `"way"`, or to the end of the recordings.
+        constraint: For a `"way"` its constraint; for a `"reach"` the constraint of the next `"way"`, or None if there
+            is none.
+        shown: Demonstrated motion along the constraint in this step; None for a `"reach"`.
+        gripper: Gripper action of a `"way"`, after the grasp and before the next `"reach"`; None if the recordings show
+            none.
         fingers: Finger joint -> its target position [rad or m]; empty if the gripper joints were not recorded.
-        place: shape (3,), position of the hand at the end of a skill, in the base frame [m]; None for other steps.
-        takes: Recordings of a way; empty in files of 0.2.
+        place: shape (3,), final position of the hand, for a `"reach"` to the end of the recordings, in the base frame
+            [m]; None for other steps.
+        takes: Recorded joint motions of a `"way"`; empty in files of version 0.2.
     """
 
     kind: StepKind
@@ -49,7 +51,7 @@ class Step:
 
     @property
     def as_shown(self) -> Constraint | None:
-        """The constraint with the demonstrated motion of this step."""
+        """The constraint of this step with the demonstrated motion of this step; None if there is no constraint."""
         constraint = self.constraint
         return constraint if constraint is None or self.shown is None else constraint.showing(self.shown)
 
@@ -62,7 +64,7 @@ class Skill:
     Attributes:
         constraints: All learnt constraints, best supported first.
         steps: Steps in order.
-        notes: Remarks about the order, in sentences.
+        notes: Remarks about the order of the steps, in sentences.
 
     Example:
         >>> import manip_learn as ml
@@ -79,7 +81,7 @@ class Skill:
 
     @property
     def robot(self) -> Robot | None:
-        """The robot of the demonstration."""
+        """The robot of the first constraint; None if its features have no robot."""
         return self.constraints[0].robot
 
     def __repr__(self) -> str:
@@ -88,10 +90,10 @@ class Skill:
         return "\n".join([f"Skill of {counted(len(self.steps), 'step')}", *lines])
 
     def moved(self, transform: Float[np.ndarray, "4 4"]) -> Skill:
-        """Return the skill after a rigid motion of the fixtures, p' = R p + t in the base frame.
+        """Return the skill for fixtures (e.g. a cabinet) that were moved by p' = R p + t in the base frame.
 
         Args:
-            transform: shape (4, 4) [m].
+            transform: Homogeneous matrix (4, 4) of R and t [m].
 
         Returns:
             The moved skill.
@@ -110,8 +112,9 @@ class Skill:
         return replace(self, constraints=tuple(moved[id(c)] for c in self.constraints), steps=tuple(steps))
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the content of a skill's file: the first constraint's content, with the other constraints and the
-        steps added.
+        """Return the content of a skill file as a dictionary of JSON values.
+
+        It is the content of the first constraint's file, with the other constraints and the steps added.
 
         Raises:
             FeatureError: The features are Python functions, which cannot be saved.
@@ -129,13 +132,15 @@ class Skill:
         return with_checksum(self.constraints[0].to_dict() | {"skill": skill})
 
     def save(self, path: str | Path) -> Path:
-        """Write the skill to a JSON file, completely or not at all; `Constraint.load` reads its first constraint.
+        """Write the skill to a JSON file; after an error, no incomplete file is left.
+
+        `Constraint.load` can also read the file and returns the first constraint.
 
         Args:
             path: File to write.
 
         Returns:
-            Path of the file.
+            Path of the written file.
 
         Raises:
             OutputError: The file cannot be written.
@@ -145,18 +150,19 @@ class Skill:
 
     @staticmethod
     def load(path: str | Path, robot: Robot, *, same_urdf: bool = True) -> Skill:
-        """Read a skill; a file with a single constraint gives a skill with one way.
+        """Read a skill file, or a constraint file as a skill with one constraint.
 
         Args:
             path: JSON file written by `save`, or by `Constraint.save`.
             robot: The robot, loaded with the same locked joints.
-            same_urdf: As for `Constraint.load`.
+            same_urdf: Require the identical URDF with joints locked at the same positions, see `Constraint.load`.
 
         Returns:
             The skill.
 
         Raises:
-            ConstraintMismatchError: Another robot, another schema, a damaged or a changed file, or not a skill at all.
+            ConstraintMismatchError: The file is for another robot, has another schema, is damaged, was changed after it
+                was saved, or is neither a skill nor a constraint.
         """
         content, source = read_constraint_file(Path(path)), str(path)
         first = Constraint.from_dict(content, robot, source=source, same_urdf=same_urdf)
@@ -189,13 +195,13 @@ def _step(entry: Mapping[str, Any], constraints: tuple[Constraint, ...]) -> Step
 
 
 def single_constraint_skill(constraint: Constraint) -> Skill:
-    """Return the skill of a single constraint: a reach and a way.
+    """Return a skill with one constraint: a reach to the grasp, then a motion along the constraint.
 
     Args:
         constraint: The constraint, with its demonstrated motion if there is one.
 
     Returns:
-        A skill of two steps.
+        A skill with two steps, `"reach"` and `"way"`.
     """
     return Skill((constraint,), (Step("reach", constraint), Step("way", constraint, constraint.shown)))
 

@@ -1,10 +1,10 @@
 """Task frame: the frame along whose axes a constraint's rows lie, as force and impedance controllers need it.
 
-A held row weighs the hand's twist (v, w), and the environment reacts along it with a wrench: a force f and a moment m.
-The origin c of the frame is the point about which the reaction forces have no moment except the held ones (the central
-axis of L. Poinsot); its axes are directions along which the motion is entirely free or entirely held. Both follow from
-Lambda alone; if the mechanism has a place, the frame is on it. After M. T. Mason, "Compliance and Force Control for
-Computer Controlled Manipulators", 1981.
+A held row is a combination of the hand's twist (v, w) that the environment keeps at zero, by a reaction wrench: a force
+f and a moment m. The origin c of the frame is the point about which the reaction forces have no moment, except moments
+that are held themselves (Poinsot's central axis). The axes are directions along which the motion is entirely free or
+entirely held. Both follow from Lambda alone; if the axis or centre of the mechanism is known, the frame is placed on
+it. After M. T. Mason, "Compliance and Force Control for Computer Controlled Manipulators", 1981.
 """
 
 from __future__ import annotations
@@ -31,28 +31,29 @@ Turns = Literal["no", "hand", "axis", "other frame"]
 @final
 @dataclass(frozen=True, eq=False)
 class TaskFrame:
-    """Frame along whose axes a constraint leaves the hand free or holds it.
+    """Frame whose axes are each either free or held by a constraint (compliance frame, task frame of Mason).
 
-    The axes x y z are translations of one point of the hand, `point`; rx ry rz are rotations.
+    The six axes are translations x y z of one point of the hand (`point`) and rotations rx ry rz.
 
     Attributes:
-        pose: shape (4, 4), the frame in the robot's base: origin [m] and axes. For a line, a plane, a hinge or a screw,
-            z is its axis; if the mechanism has an axis away from the hand, the origin is its point nearest to the hand
-            and x points to the hand; for a ball it is the centre, and z points to the hand.
-        axes: Six of `"free"`, `"held"` and `"unknown"` (not contained in the features), for x y z rx ry rz.
-        uncertainty: shape (6,), angle error of each axis [rad]: the learner's uncertainty combined in quadrature with
-            the mixing of axes in Lambda; pi / 2 for an unknown axis. The learner's part is zero for a constraint
-            written by hand.
-        rows: shape (r, 6), the held rows of the twist of `point` along the frame's axes [m/s, rad/s], orthonormal: the
-            whole of Lambda, also where it mixes axes (z and rz of a screw). r is smaller than s only if A has dependent
-            rows.
-        hand: shape (4, 4), the constrained frame of the robot, in the base [m].
-        point: shape (3,), the point whose velocity is along x y z, in the base [m]: the origin, except for a hand that
-            may turn in a mechanism with an axis or centre elsewhere, where it is the held point.
+        pose: Pose (4, 4) of the task frame in the robot's base [m]. For a line, a plane, a hinge or a screw, z is along
+            the axis of the mechanism. If this axis does not pass through the hand, the origin is its point nearest to
+            the hand, and x points to the hand. For a ball, the origin is the centre, and z points to the hand.
+        axes: State of x y z rx ry rz: `"free"`, `"held"`, or `"unknown"` if the features do not contain the axis.
+        uncertainty: shape (6,), angle error of each axis [rad]: root of the sum of squares of the learner's uncertainty
+            (zero for a constraint written by hand) and of the angle by which Lambda mixes the axis with others; pi / 2
+            for an unknown axis.
+        rows: shape (r, 6), orthonormal basis of the held combinations of the twist of `point` along the frame's axes.
+            It has all rows of Lambda, also those that mix axes (z and rz of a screw); r is smaller than their number s
+            only if A has dependent rows.
+        hand: Pose (4, 4) of the constrained frame of the robot, in the base [m].
+        point: shape (3,), point of the hand whose velocity is meant by x y z, in the base [m]. It is the origin of the
+            task frame, except for a hand that may turn at a distance from the mechanism's axis or centre: there it is
+            the constrained point of the hand.
         turns: Motion of the axes when the arm moves: `"no"` for axes fixed in the base, `"hand"` for axes fixed in the
-            hand, `"axis"` (x keeps pointing to the hand), or `"other frame"` for rows relative to another frame.
-        frame: Name of the robot's frame.
-        mechanism: Mechanism that constrains the hand, if there is a known one.
+            hand, `"axis"` if an axis keeps pointing to the hand, `"other frame"` for axes fixed in another frame.
+        frame: Name of the constrained frame of the robot.
+        mechanism: Mechanism that constrains the hand; None if it is not known.
     """
 
     pose: Float[np.ndarray, "4 4"]
@@ -66,28 +67,28 @@ class TaskFrame:
     mechanism: Mechanism | None = None
 
     def along(self, state: AxisState) -> list[bool]:
-        """Return for each axis whether it is in a state.
+        """Return which axes are in a state.
 
         Args:
             state: `"held"`, `"free"` or `"unknown"`.
 
         Returns:
-            Six values, for x y z rx ry rz.
+            Six booleans, for x y z rx ry rz.
         """
         return [axis == state for axis in self.axes]
 
     @property
     def from_hand(self) -> Float[np.ndarray, "6 6"]:
-        """Matrix X from the hand's twist along the base's axes to the twist of `point` along the frame's axes."""
+        """Matrix (6, 6) that turns the hand's twist, base axes, into the twist of `point`, task-frame axes."""
         return _from_hand(self.pose[:3, :3], self.point - self.hand[:3, 3])
 
     def to_dict(self) -> dict[str, Any]:
-        """Return all attributes as numbers and words, ready for JSON."""
+        """Return all attributes as a dictionary of JSON values; `axes` maps each axis name to its state."""
         return plain(self) | {"axes": dict(zip(AXES, self.axes, strict=True))}
 
     @property
     def sentence(self) -> str:
-        """Axes by their state, and the origin: `"held x y; free z; unknown rx ry rz; origin (0.5, 0.2, 0.5)"`."""
+        """Axes by state and origin [m], e.g. `"held x y; free z; unknown rx ry rz; origin (0.500, 0.200, 0.500)"`."""
         axes = {state: [AXES[i] for i in np.flatnonzero(self.along(state))] for state in get_args(AxisState)}
         states = "; ".join(f"{state} {' '.join(names)}" for state, names in axes.items() if names)
         return f"{states}; origin ({', '.join(f'{x:.3f}' for x in self.pose[:3, 3])})"
@@ -100,11 +101,11 @@ def task_frame(constraint: Any, q: ArrayLike) -> TaskFrame:
     """Return the task frame of a constraint at a configuration, see `TaskFrame`.
 
     Args:
-        constraint: A(q).
+        constraint: Constraint A(q).
         q: Joint configuration (nq,) or positions (nv,) [rad or m].
 
     Returns:
-        The frame, its arrays read-only.
+        The task frame in the robot's base frame; its arrays are read-only.
 
     Raises:
         ConstraintError: The features are not rows of one frame's twist.

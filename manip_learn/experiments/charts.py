@@ -28,7 +28,7 @@ Figures = dict[str, "Figure"]  # name -> figure
 
 
 def new_figure(width: float, height: float, rows: int = 1, columns: int = 1, **options: object):
-    """Return a figure and its grid of axes, without a display.
+    """Create a figure with a grid of axes, without opening a window.
 
     Args:
         width: Width [inch].
@@ -51,15 +51,17 @@ def new_figure(width: float, height: float, rows: int = 1, columns: int = 1, **o
 
 
 def save_figure(figure: Figure, folder: Path, name: str) -> list[Path]:
-    """Write a figure as PNG and SVG, completely or not at all; the same figure gives the same bytes.
+    """Write a figure as PNG and SVG; the same figure gives the same bytes.
+
+    After an error, no incomplete file is left.
 
     Args:
-        figure: Figure of `new_figure`.
+        figure: Figure from `new_figure`.
         folder: Folder for the files.
         name: Name of the files without extension.
 
     Returns:
-        Paths of the files: PNG, SVG.
+        Paths of the PNG and the SVG file.
 
     Raises:
         OutputError: A file cannot be written.
@@ -78,13 +80,13 @@ def save_figure(figure: Figure, folder: Path, name: str) -> list[Path]:
 
 
 class Panel(NamedTuple):
-    """One part of a chart.
+    """Panel of a chart, with one column of dots per label.
 
     Attributes:
         values: Label of a column -> its values.
         label: Label of the vertical axis, with its unit.
         title: Title above the panel.
-        paper: The paper's mean, drawn as a line; None: no line.
+        paper: The paper's mean, drawn as a line; None for no line.
     """
 
     values: Mapping[str, Sequence[float]]
@@ -99,8 +101,9 @@ def strips(panels: Sequence[Sequence[Panel]], label: str, width: float = 11.0, h
     Values of exactly zero are triangles on the edge of the axis.
 
     Args:
-        panels: Rows of panels, all of one length and with the same columns; the panels of a row share their axis.
-        label: Label of the horizontal axis: the meaning of a column and of a dot.
+        panels: Rows of panels, all of the same length and with the same columns; the panels of a row share the vertical
+            axis.
+        label: Label of the horizontal axis, which explains the columns and the dots.
         width: Width of the figure [inch].
         height: Height of the figure [inch].
 

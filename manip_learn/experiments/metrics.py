@@ -11,58 +11,70 @@ Manipulabilities = Float[np.ndarray, " n"]  # mu of the true or of the learnt co
 
 
 def manipulability_along(features: FeatureMap, Lambda: np.ndarray, q: np.ndarray) -> Manipulabilities:
-    """Return mu(q) = sqrt(det(A A^T)), A = Lambda Phi(q), (n,); equation (4) of Manavalan and Howard.
+    """Return the manipulability mu(q) = sqrt(det(A A^T)) with A = Lambda Phi(q) at n configurations.
 
-    It is computed as the product of the singular values of A. Unit: product of the units of the constraint's rows.
+    Equation (4) of Manavalan and Howard, computed as the product of the singular values of A.
 
     Args:
-        features: Phi, with p rows.
-        Lambda: Selection (s, p).
-        q: Configurations (n, nq).
+        features: Feature map Phi with p rows.
+        Lambda: Selection matrix (s, p).
+        q: Configurations (n, nq) [rad or m].
+
+    Returns:
+        mu, shape (n,); its unit is the product of the units of the constraint's rows.
     """
     return np.prod(np.linalg.svd(Lambda @ features.batch(q), compute_uv=False), axis=1)
 
 
 def mie(mu: Manipulabilities, learnt: Manipulabilities) -> float:
-    """Return the manipulability index error, MIE = 1/n sum_i (mu_i - mu~_i)^2, in the unit of mu squared.
+    """Return the manipulability index error (MIE): the mean square difference of two manipulabilities.
 
     Args:
         mu: Manipulability of the true constraint (n,).
-        learnt: Manipulability mu~ of the learnt constraint at the same configurations (n,).
+        learnt: Manipulability of the learnt constraint at the same configurations (n,).
+
+    Returns:
+        MIE, in the unit of mu squared.
     """
     return float(np.mean((mu - learnt) ** 2))
 
 
 def nmie(mu: Manipulabilities, learnt: Manipulabilities) -> float:
-    """Return the normalised manipulability index error, NMIE = MIE / var(mu); 1 for the best constant mu~.
+    """Return the normalised manipulability index error (NMIE): the MIE divided by the variance of the true mu.
 
     Args:
         mu: Manipulability of the true constraint (n,).
-        learnt: Manipulability mu~ of the learnt constraint at the same configurations (n,).
+        learnt: Manipulability of the learnt constraint at the same configurations (n,).
+
+    Returns:
+        NMIE: 0 if the two are equal, 1 for the best constant.
     """
     return float(mie(mu, learnt) / np.var(mu))
 
 
 def scale_free_nmie(mu: Manipulabilities, learnt: Manipulabilities) -> float:
-    """Return the NMIE after the best single factor on mu~: the direction of grad mu does not depend on that factor.
+    """Return the NMIE of the learnt manipulability multiplied by the best constant factor, mu^T learnt / |learnt|^2.
 
-    min_c 1/(n var(mu)) sum_i (mu_i - c mu~_i)^2,  c = mu^T mu~ / |mu~|^2
+    A constant factor does not change the direction of the gradient of the manipulability.
 
     Args:
         mu: Manipulability of the true constraint (n,).
-        learnt: Manipulability mu~ of the learnt constraint at the same configurations (n,).
+        learnt: Manipulability of the learnt constraint at the same configurations (n,).
     """
     factor = float(mu @ learnt) / max(float(learnt @ learnt), np.finfo(np.float64).tiny)
     return nmie(mu, factor * learnt)
 
 
 def policy_rmse(pi: Float[np.ndarray, "m T nv"], learnt: Float[np.ndarray, "m T nv"]) -> Float[np.ndarray, " m"]:
-    """Return the RMS difference (m,) of two policies along m trajectories, e.g. of pi_mu = grad mu, equation (13).
+    """Return the root mean square difference of two policies along each of m trajectories.
 
-    RMSE = sqrt(1/T sum_t |pi_t - pi~_t|^2), one value per trajectory, in the unit of the policies.
+    It is the root of the mean over time of the squared length of the difference vector.
 
     Args:
-        pi: Velocities of the true policy (m, T, nv) [rad/s or m/s], or the positions that it leads to [rad or m].
-        learnt: Velocities or positions of the learnt policy, likewise.
+        pi: Velocities of the true policy (m, T, nv) [rad/s or m/s], or the positions to which it leads [rad or m].
+        learnt: Velocities or positions of the learnt policy, with the same shape and unit.
+
+    Returns:
+        RMSE (m,), in the unit of `pi`.
     """
     return np.sqrt(np.mean(np.sum((learnt - pi) ** 2, axis=-1), axis=-1))

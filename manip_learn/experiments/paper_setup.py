@@ -48,9 +48,10 @@ class Setup:
         rows: Constrained rows, words of `"x y rz"`.
         trajectories: Number of demonstrations.
         points: Number of consecutive samples of each demonstration.
-        noise: Standard deviation of the noise on the action, relative to the root mean square of each joint's action.
-        policy: Null-space policy: the paper's attractor; a sinusoid of the configuration; none; or an attractor to a
-            rest posture of its own for each demonstrator.
+        noise: Standard deviation of the noise on the actions (joint velocities), relative to their root mean square in
+            each joint.
+        policy: Null-space policy: the paper's `"attractor"`; a `"sinusoidal"` function of the configuration; `"zero"`
+            for none; `"own"` for an attractor to a different rest configuration for each demonstrator.
     """
 
     rows: str = "x y"
@@ -61,24 +62,24 @@ class Setup:
 
     @property
     def selection(self) -> Float[np.ndarray, "s 3"]:
-        """True Lambda, orthonormal rows."""
+        """True Lambda (s, 3) with orthonormal rows."""
         return np.eye(3)[[AXES.split().index(name) for name in self.rows.split()]]  # type: ignore[arg-type]
 
 
 @cache
 def planar_arm() -> Robot:
-    """Return the shipped 3-link arm, links 1 m."""
+    """Return the shipped planar arm with three links of 1 m."""
     return load_robot("planar3")
 
 
 @cache
 def planar_features() -> FrameJacobian:
-    """Return Phi: rows x, y [m/s] and theta [rad/s] of the tip."""
+    """Return the features Phi of the planar arm: velocity of the tip along x and y [m/s], and theta [rad/s]."""
     return FrameJacobian(planar_arm(), "tip", AXES)
 
 
 def tip(q: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
-    """Return x, y [m] and heading theta [rad] of the tip (n, 3); theta counts full turns.
+    """Return position x, y [m] and heading theta [rad] of the tip, shape (n, 3); theta is not wrapped.
 
     Args:
         q: Joint positions (n, 3) [rad].
@@ -88,7 +89,7 @@ def tip(q: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
 
 
 def draw_starts(n: int, rng: np.random.Generator) -> Float[np.ndarray, "n 3"]:
-    """Draw start configurations.
+    """Draw random start configurations as in the paper.
 
     Args:
         n: Number of starts.
@@ -101,14 +102,16 @@ def draw_starts(n: int, rng: np.random.Generator) -> Float[np.ndarray, "n 3"]:
 
 
 def draw_targets(n: int, rng: np.random.Generator) -> Float[np.ndarray, "n 3"]:
-    """Draw targets r* that the tip can reach with their heading: the wrist lies within two links (3 % are drawn again).
+    """Draw random targets that the tip can reach with the required heading.
+
+    The wrist of the target lies within two link lengths of the base; 3 % of the draws do not, and are repeated.
 
     Args:
         n: Number of targets.
         rng: Random generator.
 
     Returns:
-        x, y [m] and theta [rad] of each target (n, 3).
+        Targets (n, 3): x, y [m] and theta [rad].
     """
     out, low, high = np.empty((0, 3)), np.array([-1.0, 0.0, 0.0]), np.array([1.0, 2.0, np.pi])
     while len(out) < n:
@@ -128,17 +131,19 @@ def reach(
     step: float = STEP,
     damping: float = 0.0,
 ) -> Motions:
-    """Return explicit Euler steps of u = A^+ b + N pi, equation (2), b = Lambda (r* - r), for g motions at once.
+    """Simulate g reaching motions u = A^+ b + N pi at once, by explicit Euler steps.
+
+    Equation (2) of Manavalan and Howard, with b = Lambda (r* - r).
 
     Args:
-        constraint: Lambda and Phi.
-        policy: Joint positions (g, n) -> null-space policy pi (g, n) [rad/s].
-        places: Joint positions (g, n) -> task coordinates r (g, p), whose rates are the rows of Phi.
-        q: Starts (g, n) [rad].
+        constraint: Constraint A = Lambda Phi.
+        policy: Function from joint positions (g, n) to the null-space policy pi (g, n) [rad/s].
+        places: Function from joint positions (g, n) to the task coordinates r (g, p), whose rates are the rows of Phi.
+        q: Start configurations (g, n) [rad].
         targets: Target r* of each motion (g, p).
         points: Number of samples of each motion.
         step: Time between samples [s].
-        damping: d of the damped inverse A^T (A A^T + d^2 I)^-1, in the unit of A; 0: pseudo-inverse.
+        damping: Damping d of the inverse A^T (A A^T + d^2 I)^-1, in the unit of A; 0 for the pseudo-inverse.
 
     Returns:
         Joint positions (g, T, n) [rad] and velocities (g, T, nv) [rad/s].
@@ -159,7 +164,7 @@ def reach(
 
 
 def to_demonstrations(robot: Robot, step: float, motions: Motions) -> Demonstrations:
-    """Return motions as demonstrations with equal time steps; their velocities are exact.
+    """Convert motions to demonstrations with equal time steps, whose velocities count as exact.
 
     Args:
         robot: Robot with the names of the joints.
@@ -172,7 +177,7 @@ def to_demonstrations(robot: Robot, step: float, motions: Motions) -> Demonstrat
 
 
 def demonstrate(setup: Setup, Lambda: Float[np.ndarray, "s 3"], rng: np.random.Generator) -> Demonstrations:
-    """Return reaching demonstrations with u = A^+ b + N pi, equation (2).
+    """Simulate reaching demonstrations as in the paper, u = A^+ b + N pi, equation (2).
 
     Args:
         setup: Settings of the demonstrations.
@@ -194,12 +199,12 @@ def demonstrate(setup: Setup, Lambda: Float[np.ndarray, "s 3"], rng: np.random.G
 
 
 def null_parts(features: FeatureMap, demonstrations: Demonstrations, Lambda: np.ndarray) -> Float[np.ndarray, "n 3"]:
-    """Return the true null-space part of every sample, w = N u (n, 3) [rad/s].
+    """Return the true null-space component N u of every sample, shape (n, 3) [rad/s].
 
     Args:
-        features: Phi.
-        demonstrations: Demonstrations with velocities, n samples together.
-        Lambda: True selection (s, 3).
+        features: Feature map Phi.
+        demonstrations: Demonstrations with velocities, with n samples in total.
+        Lambda: True selection matrix (s, 3).
     """
     q = np.concatenate([t.q for t in demonstrations])
     u = np.concatenate([t.u for t in demonstrations if t.u is not None])
@@ -208,7 +213,7 @@ def null_parts(features: FeatureMap, demonstrations: Demonstrations, Lambda: np.
 
 
 def true_constraint(rows: str = "x y") -> Constraint:
-    """Return the constraint of unit rows of the arm with links of 1 m.
+    """Return the true constraint of the planar arm, whose Lambda selects whole rows.
 
     Args:
         rows: Constrained rows, words of `"x y rz"`.
@@ -217,22 +222,23 @@ def true_constraint(rows: str = "x y") -> Constraint:
 
 
 def noise_deviations(demonstrations: Demonstrations, share: float) -> Float[np.ndarray, " 3"]:
-    """Return the standard deviation of the noise of each joint (3,) [rad/s]: a share of its root mean square action.
+    """Return the standard deviation of the noise of each joint's velocity (3,) [rad/s].
 
     Args:
         demonstrations: Demonstrations with velocities.
-        share: Standard deviation over root mean square.
+        share: Standard deviation divided by the root mean square velocity of each joint.
     """
     u = np.concatenate([t.u for t in demonstrations if t.u is not None])
     return share * np.sqrt(np.mean(u**2, axis=0))
 
 
 def add_noise(demonstrations: Demonstrations, share: float, rng: np.random.Generator) -> Demonstrations:
-    """Add Gaussian noise to the action, relative to the root mean square of each joint's action.
+    """Add Gaussian noise to the joint velocities.
 
     Args:
         demonstrations: Demonstrations with velocities.
-        share: Standard deviation over root mean square; 0: nothing is changed or drawn.
+        share: Standard deviation divided by the root mean square velocity of each joint; with 0 nothing changes, and no
+            random numbers are drawn.
         rng: Random generator.
 
     Returns:

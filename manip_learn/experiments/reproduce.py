@@ -1,4 +1,4 @@
-"""Experiments of the paper by name: run them, write numbers and figures."""
+"""Run experiments of the paper by name, and write numbers and figures."""
 
 from __future__ import annotations
 
@@ -47,20 +47,22 @@ def reproduce(
 
     Args:
         name: `"table"`, `"rmse"`, `"singular-start"`, `"near-singular-start"`, `"sawyer"` or `"all"`.
-        trials: Number of trials; 50 in the paper.
-        seed: Root of all random numbers.
-        out: Folder for JSON, CSV, PNG, SVG and Markdown; None writes nothing.
-        progress: Called with the name of a part and the completed fraction of all trials (0 to 1).
-        workers: Number of processes; all cores by default.
-        on_result: Called with the name and the result of each part when it is finished.
+        trials: Number of trials per case; 50 in the paper.
+        seed: Seed of all random numbers.
+        out: Folder for JSON, CSV, PNG, SVG and Markdown files; None to write nothing.
+        progress: Function that is called with the name of an experiment and the completed share of all trials, 0 to 1;
+            None for none.
+        workers: Number of processes; None for all cores.
+        on_result: Function that is called with the name and the result of each finished experiment; None for none.
 
     Returns:
-        Part -> `ours` and `paper` (`table`: of each constraint), ready for JSON.
+        Dictionary of JSON values: name of the experiment -> our numbers (`ours`) and the printed ones (`paper`); for
+        `"table"`, one such pair per constraint.
 
     Raises:
-        UnknownNameError: No such experiment; the text lists the existing ones.
-        ExperimentError: Trials, seed or workers out of range.
-        OutputError: The folder cannot be made or written.
+        UnknownNameError: No such experiment; the message lists the existing ones.
+        ExperimentError: `trials`, `seed` or `workers` is out of range.
+        OutputError: The folder cannot be created or written.
         MissingExtraError: joblib or matplotlib is not installed.
     """
     if name not in EXPERIMENTS:
@@ -100,11 +102,11 @@ def reproduce(
 
 
 def write_result(part: str, result: Any, folder: Path, settings: dict[str, Any]) -> list[Path]:
-    """Write JSON, CSV, Markdown and figures of one part.
+    """Write JSON, CSV, Markdown and figures of one experiment.
 
     Args:
-        part: Name of the part and of its files.
-        result: Its result, with `to_dict`, `rows`, `markdown` and `figures`.
+        part: Name of the experiment and of its files.
+        result: Its result, with the methods `to_dict`, `rows`, `markdown` and `figures`.
         folder: Folder for the files.
         settings: Settings of the run, stored in the JSON file.
 

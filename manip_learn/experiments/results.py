@@ -12,16 +12,19 @@ import numpy as np
 
 @dataclass(frozen=True, eq=False)
 class TrialsResult:
-    """Outcome of every trial of some cases.
+    """Base class of results: outcomes of all trials of some cases.
 
     Attributes:
-        outcomes: Name of a case -> one dictionary of plain values per trial.
+        outcomes: Name of a case -> one dictionary of numbers and texts per trial.
     """
 
     outcomes: dict[str, list[dict[str, Any]]]
 
     def rows(self) -> list[dict[str, Any]]:
-        """Return one line per trial: its case, and every number under its key; nested keys are joined by dots."""
+        """Return a table for CSV: one dictionary per trial, with the case and all numbers.
+
+        Keys of nested dictionaries are joined by dots.
+        """
         entries = [(case, i, trial) for case, trials in self.outcomes.items() for i, trial in enumerate(trials)]
         return [{"case": case, "trial": i} | dict(_flat(trial)) for case, i, trial in entries]
 
@@ -35,13 +38,14 @@ def _flat(values: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, An
 
 
 def summary(values: Iterable[float | None]) -> dict[str, Any]:
-    """Return statistics of some numbers.
+    """Compute statistics of some numbers.
 
     Args:
-        values: Numbers; None, which marks a refused answer, is left out.
+        values: Numbers; None, for a trial without an answer, is left out.
 
     Returns:
-        `mean`, `sd` (of the sample; 0 for a single number), `median`, `worst` (largest) and `n`; None without numbers.
+        Dictionary with `mean`, `sd` (sample standard deviation; 0 for a single number), `median`, `worst` (the largest)
+        and the count `n`; all but `n` are None without numbers.
     """
     x = np.array([v for v in values if v is not None], dtype=np.float64)
     statistics = (np.mean, lambda x: np.std(x, ddof=1) if x.size > 1 else 0.0, np.median, np.max)
@@ -50,7 +54,7 @@ def summary(values: Iterable[float | None]) -> dict[str, Any]:
 
 
 def share(flags: Iterable[bool]) -> float | None:
-    """Return the share of true flags; None without any flag.
+    """Return the share of flags that are True; None if there are no flags.
 
     Args:
         flags: Flags of all trials.
@@ -60,11 +64,11 @@ def share(flags: Iterable[bool]) -> float | None:
 
 
 def number(value: float | None, digits: int = 2) -> str:
-    """Return a number for a table: 1.2e-07, 0.31, 12, or a dash for None.
+    """Format a number for a table, e.g. `1.2e-07`, `0.31` or `12`; None gives a dash.
 
     Args:
-        value: Number; None: there is none.
-        digits: Significant digits of numbers below 10 in size, and of numbers with an exponent.
+        value: The number; None if there is none.
+        digits: Significant digits of numbers whose absolute value is below 10, and of numbers with an exponent.
     """
     if not value:
         return "-" if value is None else "0"
@@ -73,7 +77,7 @@ def number(value: float | None, digits: int = 2) -> str:
 
 
 def mean_and_sd(statistics: Mapping[str, Any]) -> str:
-    """Return `mean +- s.d.` of a summary.
+    """Format mean and standard deviation of a summary as text, `mean +- s.d.`.
 
     Args:
         statistics: Result of `summary`.
@@ -82,7 +86,7 @@ def mean_and_sd(statistics: Mapping[str, Any]) -> str:
 
 
 def row_words(rows: str) -> str:
-    """Return constrained rows in words: `x, theta` for `"x rz"`.
+    """Return the names of constrained rows as in the paper, e.g. `x, theta` for `"x rz"`.
 
     Args:
         rows: Words of `"x y rz"`.

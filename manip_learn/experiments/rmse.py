@@ -1,7 +1,7 @@
-"""Root mean square difference between the true and the learnt policy that climbs the manipulability.
+"""RMSE between two policies that ascend the manipulability, of the true and of the learnt constraint.
 
-The paper compares two trajectories, one with the true policy and one with the learnt one. This comparison is made here,
-and also a comparison of the two policies along one trajectory, where differences do not accumulate.
+The paper compares two trajectories, one with the true policy and one with the learnt one. This experiment does the
+same, and also compares the two policies along one trajectory, where differences do not accumulate.
 """
 
 from __future__ import annotations
@@ -34,24 +34,25 @@ PRINTED_FOR = "x y"  # the constraint that the paper tested
 
 @dataclass(frozen=True)
 class RmseCase:
-    """Constrained rows of the paper's demonstrations, which are to be learnt."""
+    """Case of the experiment: `rows` are the constrained rows of the demonstrations, words of `"x y rz"`."""
 
     rows: str
 
 
 def rmse_trial(case: RmseCase, rng: np.random.Generator) -> dict[str, Any]:
-    """Return the errors of the learnt policies of one trial.
+    """Learn a constraint from one set of demonstrations, and measure the errors of its manipulability policy.
 
-    pi_mu = grad mu, equation (13), with the true Lambda and with the learnt one; the task part uses the true Lambda in
-    both, so that only the policies differ.
+    The policy is the gradient of mu, equation (13), with the true and with the learnt Lambda. The task motion uses the
+    true Lambda in both cases, so that only the policies differ.
 
     Args:
         case: Constrained rows.
         rng: Random generator of the trial.
 
     Returns:
-        Estimator -> each of `_KINDS` -> RMSE of each of 20 rollouts of 100 points; and `size`, the root mean square of
-        the true policy.
+        Nested dictionary: estimator -> kind of comparison (`_KINDS`) -> RMSE of each of 20 rollouts with 100 points.
+            The
+        entry `size` is the root mean square of the true policy.
     """
     true = paper.true_constraint(case.rows)
     demos = paper.demonstrate(paper.Setup(case.rows), true.selection, rng)
@@ -71,13 +72,16 @@ def rmse_trial(case: RmseCase, rng: np.random.Generator) -> dict[str, Any]:
 def climbing(
     constraint: Constraint, q: np.ndarray, targets: np.ndarray, climbed: Constraint | None = None
 ) -> paper.Motions:
-    """Return joint positions [rad] and pi_mu [rad/s] under u = A^+ b + N pi_mu, equations (2) and (13).
+    """Simulate motions u = A^+ b + N pi to targets, with the manipulability gradient as policy pi, equations (2), (13).
 
     Args:
-        constraint: Constraint of the task, b = Lambda (r* - r(q)).
-        q: Starts (g, 3) [rad].
-        targets: r* of each rollout (g, 3) [m, m, rad].
-        climbed: Constraint whose mu is climbed; default: the task's constraint.
+        constraint: Constraint of the task, with b = Lambda (r* - r(q)).
+        q: Start configurations (g, 3) [rad].
+        targets: Target r* of each rollout (g, 3) [m, m, rad].
+        climbed: Constraint whose manipulability the policy increases; None for `constraint`.
+
+    Returns:
+        Joint positions [rad] and policy velocities [rad/s] of g rollouts.
     """
     climbed = climbed or constraint
     postures, _ = paper.reach(constraint, partial(climb, climbed), paper.tip, q, targets, points=100)
@@ -85,10 +89,10 @@ def climbing(
 
 
 def climb(constraint: Constraint, q: Float[np.ndarray, "*n nq"]) -> Float[np.ndarray, "*n nv"]:
-    """Return pi_mu = grad mu, equation (13), at configurations, or along trajectories.
+    """Return the policy grad mu, equation (13), at configurations.
 
     Args:
-        constraint: Constraint with the manipulability mu.
+        constraint: Constraint whose manipulability is mu.
         q: Joint positions (..., nq) [rad].
     """
     return manipulability_batch(constraint, q.reshape(-1, q.shape[-1])).gradient.reshape(q.shape)
@@ -101,7 +105,10 @@ class RmseResult(TrialsResult):
         return [v for t in self.outcomes[rows] for v in t[estimator][kind]]
 
     def to_dict(self) -> dict[str, Any]:
-        """Return paper and ours, over all rollouts; `policy_size` is the root mean square of the true policy."""
+        """Return the paper's numbers (`paper`) and statistics of all rollouts (`ours`) as a dictionary.
+
+        `policy_size` is the root mean square of the true policy.
+        """
         ours: dict[str, dict[str, Any]] = {}
         for rows, trials in self.outcomes.items():
             ours[rows] = {e: {kind: summary(self._values(rows, e, kind)) for kind in _KINDS} for e in ESTIMATORS}
@@ -109,7 +116,7 @@ class RmseResult(TrialsResult):
         return {"paper": paper.PAPER_RMSE | {"rows": PRINTED_FOR}, "ours": ours}
 
     def markdown(self) -> str:
-        """Return a table with the paper's number, for the constraint that it was measured with."""
+        """Return a Markdown table of the results, with the paper's number for the constraint that it states."""
         printed = f"{paper.PAPER_RMSE['mean']:.3e} +- {paper.PAPER_RMSE['sd']:.3e}"
         lines = [[row_words(PRINTED_FOR), "**paper, as printed**", printed, "", "", ""]]
         for rows, block in self.to_dict()["ours"].items():
@@ -124,7 +131,7 @@ class RmseResult(TrialsResult):
         """Draw every rollout as a dot, with the paper's comparison in the upper row.
 
         Returns:
-            The figure, by its name.
+            Dictionary from the name of the figure to the figure.
         """
 
         def panel(rows: str, kind: str) -> Panel:

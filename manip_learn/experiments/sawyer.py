@@ -52,14 +52,15 @@ def sawyer_arm() -> Robot:
 
 @dataclass(frozen=True)
 class SawyerCase:
-    """One reading of the paper's drawer, with a source of demonstrations.
+    """Interpretation of the paper's drawer experiment, with a source of demonstrations.
 
     Attributes:
-        source: Origin of the demonstrations, `"model"` or a key of `FOLDERS`: a motion of the model; a grip within a
-            micrometre, noise of 1e-4 rad, 100 Hz, velocities derived from the positions; 2 mm of backlash in the grip,
-            stick-slip, 1e-3 rad, 20 Hz, velocities as recorded, 60 ms old.
+        source: Origin of the demonstrations: `"model"` for motions simulated with the model, or a key of `FOLDERS` for
+            recordings from a physics simulation. One kind has a grip within a micrometre, noise of 1e-4 rad, 100 Hz,
+            and velocities derived from the positions. The other has 2 mm of backlash in the grip, stick-slip, noise of
+            1e-3 rad, 20 Hz, and recorded velocities that are 60 ms old.
         points: Number of samples of each demonstration; None for all.
-        reading: Meaning of the direction of Lambda_x or Lambda_y, one of `READINGS`.
+        reading: Meaning of the direction of Lambda_x or Lambda_y in the paper's text, one of `READINGS`.
         direction: `"x"` or `"y"`.
     """
 
@@ -70,13 +71,13 @@ class SawyerCase:
 
     @property
     def name(self) -> str:
-        """Source and number of samples, reading and direction in words."""
+        """Name of the case: source, number of samples, reading and direction in words."""
         samples = "all samples" if self.points is None else f"{self.points} points each"
         return BETWEEN.join((f"{self.source}, {samples}", self.reading, self.direction))
 
     @property
     def constraint(self) -> Constraint:
-        """True constraint of unit rows of the grip [m]."""
+        """True constraint, whose Lambda selects whole rows of the gripper tip's position."""
         is_row = self.reading == "constrained row"
         # a drawer always constrains two rows; in the horizontal plane alone it constrains one
         axes = ["x", "y"] if is_row and self.source != "model" else ["x", "y", "z"]
@@ -90,15 +91,17 @@ CASES = {case.name: case for case in _ALL}
 
 
 def sawyer_trial(case: SawyerCase, rng: Generator) -> dict[str, Any]:
-    """Learn from 50 demonstrations, and test on others.
+    """Learn a constraint from 50 demonstrations, and measure its errors on others.
 
     Args:
-        case: Source of the demonstrations and reading of the paper.
+        case: Source of the demonstrations and interpretation of the paper.
         rng: Random generator of the trial.
 
     Returns:
-        `mie` and `nmie` at the configurations of the training set, `mie_held` and `nmie_held` at held-out ones,
-        `angle_deg`, `rows`, `rows_true`, `rmse` of 20 rollouts; or `refused`.
+        Dictionary with the errors `mie` and `nmie` (see `metrics`) at the configurations of the training set,
+        `mie_held` and `nmie_held` at held-out ones, the angle to the true row space `angle_deg`, the numbers of learnt
+        and true rows `rows` and `rows_true`, and the `rmse` of 20 rollouts; or only `refused`, the reason why nothing
+        was learnt.
     """
     true = case.constraint
     train, test = drawn(case, rng)
@@ -124,11 +127,11 @@ def sawyer_trial(case: SawyerCase, rng: Generator) -> dict[str, Any]:
 def motions(
     true: Constraint, policy: paper.Law, n: int, points: int, rng: Generator, damping: float = 0.0
 ) -> paper.Motions:
-    """Return joint positions and velocities of motions at 100 Hz, from random starts to random targets of the grip.
+    """Simulate motions at 100 Hz from random start configurations to random targets of the gripper tip.
 
     Args:
         true: True constraint of the task.
-        policy: Null-space policy: joint positions (n, 7) -> velocities [rad/s].
+        policy: Null-space policy: function from joint positions (n, 7) to velocities (n, 7) [rad/s].
         n: Number of motions.
         points: Number of samples of each motion.
         rng: Random generator.
@@ -143,10 +146,10 @@ def motions(
 
 
 def drawn(case: SawyerCase, rng: Generator) -> tuple[Demonstrations, Demonstrations]:
-    """Return demonstrations to learn from, and others to test on: none is in both.
+    """Draw demonstrations to learn from, and different ones to test on.
 
     Args:
-        case: Source of the demonstrations and reading of the paper.
+        case: Source of the demonstrations and interpretation of the paper.
         rng: Random generator of the trial.
     """
     n = 50
@@ -165,9 +168,9 @@ def drawn(case: SawyerCase, rng: Generator) -> tuple[Demonstrations, Demonstrati
 
 
 def turned_recordings(folder: str, along_x: bool, points: int | None) -> Demonstrations:
-    """Return all demonstrations, as from an arm whose base is turned.
+    """Return all recorded demonstrations as if the arm's base were rotated, so that the drawer opens along x or y.
 
-    The first joint turns about the vertical through the base: turning the base is exactly an offset of that joint.
+    A rotation of the base about its vertical axis is exactly an offset of the first joint.
 
     Args:
         folder: Name of the shipped recordings.
@@ -186,10 +189,10 @@ def _recordings(folder: str) -> Demonstrations:
 
 
 class SawyerResult(TrialsResult):
-    """Outcome of every trial, see `sawyer_trial`; a case is its source, its reading and its direction."""
+    """Outcomes of all trials of each `SawyerCase`, see `sawyer_trial`."""
 
     def to_dict(self) -> dict[str, Any]:
-        """Return paper and ours."""
+        """Return the paper's numbers (`paper`) and statistics of all trials (`ours`) as a dictionary."""
         ours, errors = {}, ("mie", "nmie", "mie_held", "nmie_held", "angle_deg")
         for case, trials in self.outcomes.items():
             ours[case] = {error: summary(t.get(error) for t in trials) for error in errors} | {
@@ -202,7 +205,7 @@ class SawyerResult(TrialsResult):
         return {"paper": printed, "ours": ours}
 
     def markdown(self) -> str:
-        """Return a table of all readings with the paper's numbers."""
+        """Return a Markdown table of all cases, with the paper's numbers."""
         printed = [number(paper.PAPER_SAWYER_MIE), "", "", "", mean_and_sd(paper.PAPER_SAWYER_RMSE), ""]
         lines = [["**paper, a real arm**", "", "", *printed]]
         for case, block in self.to_dict()["ours"].items():
@@ -214,10 +217,10 @@ class SawyerResult(TrialsResult):
         return markdown_table([*header, "angle [deg], median (worst)", "RMSE, mean +- s.d.", "rows found"], lines)
 
     def figures(self) -> Figures:
-        """Draw MIE on held-out recordings and RMSE of every trial.
+        """Draw the manipulability error (MIE) on held-out recordings and the policy error (RMSE) of every trial.
 
         Returns:
-            The figure, by its name.
+            Dictionary from the name of the figure to the figure.
         """
         completed: dict[str, list[dict[str, Any]]] = {}
         for case, trials in self.outcomes.items():

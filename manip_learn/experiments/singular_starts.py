@@ -33,13 +33,13 @@ _SETTLED = 100.0  # [rad/s] above this joint speed after the first second, the a
 
 
 class Claim(NamedTuple):
-    """A claim of the paper and its outcome here.
+    """Claim of the paper, and the result of checking it.
 
     Attributes:
         text: The claim.
-        seen: The measurement, in words.
-        holds: True if it was reproduced as printed.
-        verdict: Answer in place of yes or no.
+        seen: Our measurement, in words.
+        holds: True if the claim was reproduced as printed.
+        verdict: Text to print instead of yes or no; empty for yes or no.
     """
 
     text: str
@@ -53,12 +53,12 @@ class StartResult:
     """Rollouts of the paper's law and of our controller.
 
     Attributes:
-        setting: The start.
-        rollouts: Law -> rollout, see `law_name`.
-        claims: Claims of the paper.
-        rounding: Policy -> outcomes of the paper's law, step 0.02 s, from `n` starts that differ by rounding: the
-            number `at_rest` on the target in the end, and the `least_late_speed` of them all; empty if no rollout is
-            chaotic.
+        setting: Settings of the comparison, with the start.
+        rollouts: Name of a control law (see `law_name`) -> its rollout.
+        claims: Claims of the paper with their results.
+        rounding: Policy -> outcomes of the paper's law with the step 0.02 s from `n` starts that differ by rounding
+            errors only: the number of rollouts that end `at_rest` on the target, and the `least_late_speed` of all
+            [rad/s]. Empty if no rollout is chaotic.
     """
 
     setting: BadStart
@@ -67,7 +67,10 @@ class StartResult:
     rounding: dict[str, Numbers]
 
     def to_dict(self) -> dict[str, Any]:
-        """Return claims and key numbers; after a leap of 1e10 rad, numbers without a significant digit are None."""
+        """Return claims and key numbers as a dictionary; numbers that rounding has made meaningless are None.
+
+        This happens after a leap of 1e10 rad at a singularity.
+        """
         ours = {law: key_numbers(r) for law, r in self.rollouts.items()}
         for numbers in ours.values():
             if numbers["chaotic"]:
@@ -76,7 +79,7 @@ class StartResult:
         return {"paper": paper, "ours": ours, "claims": claims, "rounding": self.rounding}
 
     def rows(self) -> list[dict[str, Any]]:
-        """Return one line per sample of every rollout."""
+        """Return a table for CSV: one dictionary per sample of every rollout."""
         names, out = ("law", "time", "q1", "q2", "q3", "manipulability", "task_error"), list[dict[str, Any]]()
         for law, r in self.rollouts.items():
             lines = np.column_stack([r.time, r.q, r.manipulability, r.task_error]).tolist()
@@ -84,7 +87,7 @@ class StartResult:
         return out
 
     def markdown(self) -> str:
-        """Return the claims, and the key numbers of the rollouts."""
+        """Return the claims and the key numbers of the rollouts as Markdown."""
         claims = [[c.text, c.seen, c.verdict or ("yes" if c.holds else "**no**")] for c in self.claims]
         lines = []
         for law, n in self.to_dict()["ours"].items():
@@ -99,7 +102,7 @@ class StartResult:
         """Draw the arm over time above and the manipulability over time below; the last column is our controller.
 
         Returns:
-            The figure, by the name of the comparison.
+            Dictionary from the name of the comparison to the figure.
         """
         leap = "\n(chaotic after the first step)" if self.rounding else ""
         columns = {f"paper's law, {p} policy{leap}": [self.rollouts[law_name(p, dt)] for dt in STEPS] for p in POLICIES}
@@ -108,24 +111,24 @@ class StartResult:
 
 
 def law_name(policy: str, dt: float | None = None) -> str:
-    """Return the name of the paper's law with a policy and a step, or of our controller.
+    """Return the name of a control law: the paper's with a policy and a time step, or our controller.
 
     Args:
         policy: One of `POLICIES`.
-        dt: Time step of the paper's law [s]; None: our controller.
+        dt: Time step of the paper's law [s]; None for our controller.
     """
     return f"{policy}, our controller" if dt is None else f"{policy}, dt {dt:g} s"
 
 
 def key_numbers(rollout: Rollout) -> Numbers:
-    """Return key numbers: the least manipulability from step 3 on, the speed in the last four fifths, and others.
+    """Return key numbers of a rollout, such as the smallest manipulability from step 3 on and the late speed.
 
     Args:
         rollout: Rollout with at least four samples.
 
     Returns:
-        `final_error` [m], `lowest_step`, `min_manipulability`, `max_velocity` and `late_speed` [rad/s], `largest_step`
-        [rad], `chaotic`.
+        Dictionary with `final_error` [m]; `min_manipulability` from step 3 on, and its step `lowest_step`;
+        `max_velocity`, and `late_speed` in the last four fifths [rad/s]; `largest_step` [rad]; `chaotic`.
     """
     speed = np.max(np.abs(rollout.u), axis=1)
     lowest = 3 + int(np.argmin(rollout.manipulability[3:]))
@@ -138,10 +141,10 @@ def key_numbers(rollout: Rollout) -> Numbers:
 
 
 def singular_claims(rollouts: dict[str, Rollout], _rounding: object) -> list[Claim]:
-    """Return the claims of the first comparison, judged at the paper's 50 Hz, measured at 100 Hz too.
+    """Check the paper's claims about a start at a singularity, at the paper's 50 Hz and also at 100 Hz.
 
     Args:
-        rollouts: Law -> rollout, see `law_name`.
+        rollouts: Name of a control law (see `law_name`) -> its rollout.
         _rounding: Not used.
     """
     zero, attractor, climb = ([key_numbers(rollouts[law_name(p, dt)]) for dt in STEPS] for p in POLICIES)
@@ -174,13 +177,14 @@ def singular_claims(rollouts: dict[str, Rollout], _rounding: object) -> list[Cla
 
 
 def near_singular_claims(rollouts: dict[str, Rollout], rounding: dict[str, Numbers]) -> list[Claim]:
-    """Return the claims of the second comparison.
+    """Check the paper's claims about a start near a singularity.
 
-    Figure 2 is judged over starts that differ by rounding: the outcome of a single one is random after such a leap.
+    Figure 2 is judged by many starts that differ by rounding errors, because after a huge leap the outcome of a single
+    rollout is random.
 
     Args:
-        rollouts: Law -> rollout, see `law_name`.
-        rounding: Policy -> outcomes from starts that differ by rounding, see `StartResult`.
+        rollouts: Name of a control law (see `law_name`) -> its rollout.
+        rounding: Policy -> outcomes from starts that differ by rounding errors, see `StartResult`.
     """
     after = np.abs(rollouts[law_name("zero", STEPS[0])].q[1])
     others = 10.0 ** np.ceil(np.log10(after[[0, 2]].max()) + 1)
@@ -199,11 +203,11 @@ def near_singular_claims(rollouts: dict[str, Rollout], rounding: dict[str, Numbe
 
 
 def draw_columns(columns: Mapping[str, Sequence[Rollout]], target: tuple[float, float]) -> Any:
-    """Draw one column per law: the arm at some moments, early ones pale, and the manipulability of every sample.
+    """Draw one column per control law: the arm at some times (early ones pale), and the manipulability over time.
 
     Args:
-        columns: Title -> rollout at 0.02 s, and at 0.01 s for the paper's law.
-        target: r* (x, y) [m].
+        columns: Title of a column -> its rollouts, with the step 0.02 s and, for the paper's law, 0.01 s.
+        target: Target r* (x, y) [m].
 
     Returns:
         The figure.
@@ -236,15 +240,16 @@ def draw_columns(columns: Mapping[str, Sequence[Rollout]], target: tuple[float, 
 
 @dataclass(frozen=True)
 class BadStart:
-    """Settings of a comparison.
+    """Settings of a comparison of null-space policies from a bad start.
 
     Attributes:
         name: Name of files and figures.
         start: Joint positions at the start [rad].
-        rest: psi* of the attractor [rad].
-        inverse: Inversion of A in the paper's law.
-        judge: (rollouts, outcomes from starts that differ by rounding) -> claims.
-        target: r* [m], rows x, y. The paper does not state the target of the second comparison.
+        rest: Configuration psi* to which the attractor policy moves [rad].
+        inverse: Method to invert A in the paper's law.
+        judge: Function that takes the rollouts and the outcomes from starts that differ by rounding errors (see
+            `StartResult`), and returns the claims with their results.
+        target: Target r* of x and y [m]. The paper does not state the target of the second comparison.
     """
 
     name: str
@@ -255,14 +260,15 @@ class BadStart:
     target: tuple[float, float] = (0.0, 0.0)
 
     def law(self, policy: str, estimate: Constraint, *, product: bool = False) -> ResolvedRateController:
-        """Return the paper's bare law with one policy, or our controller with its limits.
+        """Return the paper's control law without limits, or our controller with its limits.
 
-        Truncation occurs only if the row space is right to 1e-16: the task uses the true A, the policy the learnt one.
+        The task uses the true A and only the policy the learnt one, because the truncated inverse works only if the row
+        space is exact to 1e-16.
 
         Args:
             policy: One of `POLICIES`.
             estimate: Learnt constraint, for the manipulability policy.
-            product: True for our controller.
+            product: True for our controller, False for the paper's law.
         """
         null: dict[str, NullSpacePolicy] = {"zero": ZeroPolicy(3), "attractor": JointAttractor(self.rest)}
         null["manipulability"] = ManipulabilityAscent(estimate, logarithmic=product)
@@ -271,20 +277,20 @@ class BadStart:
         return ResolvedRateController(true_constraint("x y"), task, null[policy], **bare)
 
     def rollout(self, policy: str, estimate: Constraint, dt: float, q: Any = None, *, product: bool = False) -> Rollout:
-        """Return five seconds from the start, or from another configuration.
+        """Simulate five seconds from the start, or from another configuration.
 
         Args:
             policy: One of `POLICIES`.
             estimate: Learnt constraint, for the manipulability policy.
             dt: Time step [s].
-            q: Joint positions (3,) to start from [rad]; None: the start of this comparison.
-            product: True for our controller.
+            q: Joint positions (3,) at the start [rad]; None for the start of this comparison.
+            product: True for our controller, False for the paper's law.
         """
         law = self.law(policy, estimate, product=product)
         return simulate(planar_arm(), law, self.start if q is None else q, 5.0, dt)
 
     def size(self, _trials: int) -> int:
-        """Return 0: nothing is repeated.
+        """Return the number of trials of this experiment, 0 because it is not repeated.
 
         Args:
             _trials: Not used.
@@ -296,11 +302,12 @@ class BadStart:
 
         Args:
             _trials: Not used.
-            rng: For the demonstrations that Lambda is learnt from, and for starts that differ by rounding.
+            rng: Random generator for the demonstrations from which Lambda is learnt, and for starts that differ by
+                rounding errors.
             *_options: Not used.
 
         Returns:
-            Rollouts and claims.
+            Rollouts, and claims with their results.
         """
         true = true_constraint("x y")
         demos = demonstrate(Setup("x y"), true.selection, rng)

@@ -39,12 +39,15 @@ Matrix = Float[np.ndarray, "s p"]
 
 
 def fit_row_by_row(Phi: Float[np.ndarray, "n p nv"], w: Float[np.ndarray, "n nv"], n_rows: int) -> Matrix:
-    """Return Lambda (n_rows, p), fitted one row after the other.
+    """Fit Lambda to null-space motion one row after the other, the method of the paper.
 
     Args:
         Phi: Features of each sample (n, p, nv).
-        w: Null-space motion of each sample (n, nv) [rad/s].
-        n_rows: Number of rows s.
+        w: Null-space component of the velocity of each sample (n, nv) [rad/s].
+        n_rows: Number of rows to fit.
+
+    Returns:
+        Lambda (n_rows, p).
     """
     Lambda = np.zeros((0, Phi.shape[1]))
     for _ in range(n_rows):
@@ -56,7 +59,7 @@ def fit_row_by_row(Phi: Float[np.ndarray, "n p nv"], w: Float[np.ndarray, "n nv"
 
 
 def unit_vector(angles: Float[np.ndarray, " k"]) -> Float[np.ndarray, " k+1"]:
-    """Return the point of the unit sphere (k+1,) with the given spherical angles.
+    """Return the unit vector (k + 1,) with the given spherical angles.
 
     Args:
         angles: Spherical angles (k,) [rad].
@@ -86,10 +89,11 @@ def learn(
 
     Args:
         estimator: A key of `LABELS`.
-        features: Phi.
+        features: Feature map Phi with p rows.
         demonstrations: Demonstrations with velocities.
-        true: True Lambda (s, p): `true-w` uses its null-space motion, and all but `auto` its number of rows.
-        seed: Seed of k-means and random starts.
+        true: True Lambda (s, p). The method `true-w` uses its null-space motion, and all methods but `auto` use its
+            number of rows.
+        seed: Seed of k-means and of random initial guesses.
 
     Returns:
         Lambda, and True if the learner warned.
@@ -116,22 +120,28 @@ def learn(
 
 @dataclass(frozen=True)
 class LearningCase:
-    """Demonstrations, and the methods to learn from them, keys of `LABELS`."""
+    """Case of the experiment.
+
+    Attributes:
+        setup: Settings of the simulated demonstrations.
+        estimators: Methods to learn from them, keys of `LABELS`.
+    """
 
     setup: Setup
     estimators: tuple[str, ...]
 
 
 def learning_trial(case: LearningCase, rng: np.random.Generator) -> dict[str, Any]:
-    """Train on one set of demonstrations, and evaluate on it and on another one.
+    """Learn from one set of demonstrations with several methods, and evaluate on it and on a second set.
 
     Args:
         case: Settings of the demonstrations, and the methods.
         rng: Random generator of the trial.
 
     Returns:
-        Estimator -> `train` and `test` NMIE, `scale_free` NMIE on the test set, `angle_deg` between the row spaces,
-        number of `rows`, `seconds` and `warned`; or `refused`, the reason.
+        Method -> dictionary with the NMIE (see `metrics`) on the training set `train` and the test set `test`,
+        `scale_free` NMIE on the test set, angle to the true row space `angle_deg`, number of `rows`, computing time
+        `seconds`, and `warned`; or only `refused`, the reason why nothing was learnt.
     """
     features, Lambda = planar_features(), case.setup.selection
     train, test = demonstrate(case.setup, Lambda, rng), demonstrate(replace(case.setup, noise=0.0), Lambda, rng)
@@ -154,7 +164,7 @@ def learning_trial(case: LearningCase, rng: np.random.Generator) -> dict[str, An
 
 
 def statistics(trials: list[dict[str, Any]], estimator: str, rows: str) -> dict[str, Any]:
-    """Return the statistics of one estimator: first its NMIE on the test set, last shares of the trials.
+    """Return the statistics of one method over all trials: NMIE on the test set first, shares of trials last.
 
     Args:
         trials: Results of `learning_trial`.
@@ -173,13 +183,13 @@ class TableResult(TrialsResult):
     """Outcome of every trial of the paper's three constraints, see `learning_trial`."""
 
     def to_dict(self) -> dict[str, Any]:
-        """Return constraint -> paper and ours, test set first."""
+        """Return for each constraint the paper's numbers (`paper`) and our statistics (`ours`) as a dictionary."""
         every = self.outcomes.items()
         ours = {rows: {name: statistics(trials, name, rows) for name in LABELS} for rows, trials in every}
         return {rows: {"paper": dict(PAPER_NMIE[rows]), "ours": block} for rows, block in ours.items()}
 
     def markdown(self) -> str:
-        """Return the table with the paper's numbers, one block per constraint."""
+        """Return the table as Markdown with the paper's numbers, one block per constraint."""
         header = ["estimator", "NMIE, mean +- s.d.", "median", "worst", "on the training set", "s a fit"]
         parts = []
         for rows, block in self.to_dict().items():
@@ -194,7 +204,7 @@ class TableResult(TrialsResult):
         """Draw every trial as a dot.
 
         Returns:
-            The figure, by its name.
+            Dictionary from the name of the figure to the figure.
         """
         panels, label = list[Panel](), "NMIE on the test set (no unit)"
         for rows, trials in self.outcomes.items():

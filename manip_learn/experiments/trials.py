@@ -17,14 +17,15 @@ from manip_learn.linalg import one_thread
 
 @dataclass(frozen=True)
 class Trials:
-    """Experiment that runs each of its cases in independent trials.
+    """Experiment that runs each of its cases in independent trials, on several processes.
 
     Attributes:
-        name: Part of the seeds.
-        trial: (case, rng) -> plain numbers, strings, lists and dictionaries; a function at the top of a module.
-        cases: Name of a case -> frozen dataclass.
-        result: Made from the outcomes: name of a case -> one dictionary per trial.
-        share: Trials of each case per trial that the user requests; at least one is run.
+        name: Name of the experiment, from which the seeds are computed.
+        trial: Function that takes a case and a random generator and returns a dictionary of numbers, texts, lists and
+            dictionaries. It must be a function at the top level of a module.
+        cases: Name of a case -> its settings, a frozen dataclass.
+        result: Class of the result, which is built from the outcomes: name of a case -> one dictionary per trial.
+        share: Number of trials of each case, as a multiple of the number that the user requests; at least one is run.
     """
 
     name: str
@@ -48,9 +49,9 @@ class Trials:
 
         Args:
             trials: Number of trials that the user requests.
-            rng: Root of all seeds.
-            workers: Number of processes; all cores by default. 1 runs in this process.
-            on_trial: Called after each trial.
+            rng: Random generator from which all seeds are derived.
+            workers: Number of processes; None for all cores, 1 to run in this process.
+            on_trial: Function without arguments that is called after each trial.
 
         Returns:
             The outcomes of all cases.

@@ -1,4 +1,4 @@
-"""Constraints from hypotheses that explain the recordings, each with its evidence and warnings."""
+"""Learn the constraints of recordings, each with its evidence and warnings; the entry point is `learn`."""
 
 from __future__ import annotations
 
@@ -50,7 +50,14 @@ Refusal = NotIdentifiableError | RecordingError
 
 
 class Rows(NamedTuple):
-    """Lambda in the rows of a feature map, with the levels of all directions and the gap of each number of rows."""
+    """Selection Lambda in a feature map, with the size of the motion along each direction.
+
+    Attributes:
+        features: Feature map Phi with p rows.
+        selection: Lambda (s, p) with orthonormal rows.
+        levels: Size of the motion along each direction, smallest first, shape (r,), see `fit.Levels`.
+        gaps: Number of rows -> its gap, see `fit.Levels`.
+    """
 
     features: FeatureMap
     selection: Float[np.ndarray, "s p"]
@@ -60,25 +67,31 @@ class Rows(NamedTuple):
 
 @dataclass(eq=False)
 class Answer:
-    """Constraint with its evidence.
+    """Learnt constraint with its evidence; the estimators and `complete_answer` fill in the attributes.
 
     Attributes:
-        view, rows: View, and whitened rows (s, r) of the position of the hand, or of the requested features.
+        view, rows: View (samples in one feature map), and whitened rows (s, r) that constrain the position of the hand,
+            or rows of the requested features.
         s, gap: Number of these rows, and its gap.
-        stretches: Stretches in which the rows are constrained.
-        levels, gaps: Sizes and gaps of `view_levels`.
-        unexplained, held_out: Share of the energy that violates the rows, and the same on held-out recordings.
-        evidence: `Evidence` of the recombination test, for held rows; None otherwise.
-        fit: `RowFit` by displacements, for held rows; None otherwise.
-        errors, uncertainty: Draws of the error of the last fit, and parts of the uncertainty [deg].
-        placed, shape: Mechanism with its place; shape that replaces the rows where no constant rows fit.
-        misfit: Result of `fit.misfit`.
-        over_noise: Residual of the rows over the noise of recorded positions.
-        firm: Fit of rows of the whole hand, for a firm grip.
-        mechanism: Mechanism, or None.
-        uncertainty_deg: Error of the rows that is not exceeded in 68 % of cases [deg], at the positions of the hand.
-        contradiction: Contradiction by its own tests, in words; empty if there is none.
-        clear: True if evidence and gap are clear.
+        stretches: Parts of the recordings in which the rows are constrained.
+        levels, gaps: Sizes and gaps from `view_levels`.
+        unexplained, held_out: Share of the motion energy that violates the rows, and the same on held-out recordings.
+        estimator: Name of the estimator, see `ConstraintLearner`.
+        evidence: `Evidence` from the recombination test for held rows; None otherwise.
+        fit: `RowFit` to displacements for held rows; None otherwise.
+        errors, uncertainty: Draws of the error of the last fit, and the parts of the uncertainty [deg].
+        mu_uncertainty: Relative error of the manipulability, see `mu_error`; None if it is not known.
+        placed, shape: Mechanism with axis and point; shape that replaces the rows if no constant rows fit.
+        misfit: Result of `fit.misfit`: evidence for another shape [nats], and RMS residual [m or rad].
+        over_noise: Residual of the rows over the noise of the recorded positions, a ratio.
+        warnings: Warnings about this answer, in sentences.
+        policy_model, policy_residuals: Null-space policy of self-imposed rows, see `LearningReport`.
+        firm: Fit of rows of the hand's whole twist if the grip is firm; None otherwise.
+        mechanism: Mechanism that constrains the hand; None if it is not known.
+        uncertainty_deg: Angle error of the rows that is not exceeded in 68 % of cases [deg], at the positions of the
+            hand; None if it is not known.
+        contradiction: Result of a test that contradicts this answer, in words; empty if there is none.
+        clear: True if both evidence and gap are clear.
         whole, asked: All rows that constrain the hand, and the rows in the requested axes.
     """
 
@@ -126,13 +139,13 @@ class Answer:
 
 @dataclass(eq=False)
 class Answers:
-    """Answers, and the other stretches of the recordings.
+    """Learnt constraints of all recordings, and the stretches that belong to none of them.
 
     Attributes:
-        answers: Answers, clear ones first.
+        answers: Constraints with their evidence, clear ones first.
         free: Stretches of free motion.
-        unlearnt: Stretches that are not used, with the reason.
-        odd: Number of a recording that does not agree -> the difference in words.
+        unlearnt: Stretches from which nothing is learnt, each with the reason.
+        odd: Index of a recording that does not agree with the others -> the difference in words.
         warnings: Warnings about all recordings.
     """
 
@@ -154,16 +167,16 @@ def _answer_driven_rows(imposed: Imposed) -> Answers:
 
 
 def add_advice(refusal: Refusal, table: Table, settings: Settings, facts: Sequence[str]) -> Refusal:
-    """Return the refusal with advice: the likeliest remedies first, then the reason and the facts.
+    """Add advice to the message of an error: the likeliest remedies first, then the reason and the facts.
 
     Args:
-        refusal: Refusal without advice.
-        table: Samples.
+        refusal: Error from `learn`, without advice.
+        table: Samples of all recordings.
         settings: Settings of the fit.
         facts: Facts about the recordings, in sentences.
 
     Returns:
-        Refusal with the two likeliest remedies in its message; unchanged for a `RecordingError`.
+        Error with the two likeliest remedies in its message; the same error if it is a `RecordingError`.
     """
     codes = ("weak-gap", "no-evidence", "no-freedom")  # other recordings may resolve these refusals
     if isinstance(refusal, RecordingError):
@@ -193,12 +206,13 @@ def learn(table: Table, settings: Settings, progress: Progress) -> Answers | Ref
     """Learn the constraints of the recordings.
 
     Args:
-        table: Samples.
+        table: Samples of all recordings.
         settings: Settings of the fit.
-        progress: Function of the name of a stage and its completed share.
+        progress: Function that is called with the name of a stage and its completed share, 0 to 1.
 
     Returns:
-        An answer for each part of the recordings, clear ones first; or a refusal, without advice.
+        The learnt constraints, clear ones first. If there are none: the error that states why, not raised and without
+        advice (see `add_advice`).
     """
     nv = table.u.shape[1]
     if other := {f.nv for f in settings.asked} - {nv}:
@@ -291,14 +305,14 @@ def _fit_parts(explanation: Explanation, views: list[View], out: Answers, settin
 
 
 def angle_between(one: _Part | Answer, other: _Part | Answer) -> float:
-    """Return the angle between the row spaces of two parts.
+    """Return the angle between the row spaces of two fits.
 
     Args:
-        one: One part or answer.
-        other: The other part or answer.
+        one: First answer, or part of one, with its fit.
+        other: Second answer, or part of one, with its fit.
 
     Returns:
-        Angle [rad]; infinite for rows of different features or numbers.
+        Angle [rad]; infinite if the two have different features or different numbers of rows.
     """
     a, b, view = one.fit.rows, other.fit.rows, one.fit.view
     if view is not other.fit.view or len(a) != len(b):
@@ -387,11 +401,11 @@ def _answer_parts(
 
 
 def overlap(a: Stretch, b: Stretch) -> bool:
-    """Return True if two stretches overlap in time.
+    """Return True if two stretches are of the same recording and overlap in time.
 
     Args:
-        a: One stretch.
-        b: The other stretch.
+        a: First stretch.
+        b: Second stretch.
     """
     return a.recording == b.recording and a.start < b.end and b.start < a.end
 
@@ -419,12 +433,12 @@ def _report_outliers(out: Answers, table: Table) -> None:
 
 
 def describe_difference(fit: RowFit, spans: Sequence[Stretch], others: set[int]) -> str:
-    """Describe the motion of a recording along rows that others constrain.
+    """Describe in words how one recording moves along directions that are constrained in other recordings.
 
     Args:
-        fit: Fit of the others.
-        spans: Stretches of the recording.
-        others: Numbers of the others.
+        fit: Fit of the constrained rows to the other recordings.
+        spans: Stretches of the one recording.
+        others: Indices of the other recordings.
 
     Returns:
         Sentence with the motion [mm or mrad], its direction and the time at which it is fastest.
@@ -447,17 +461,18 @@ def describe_difference(fit: RowFit, spans: Sequence[Stretch], others: set[int])
 def best_fit(
     candidates: Sequence[View], view: View, rows: np.ndarray, spans: Sequence[Stretch], settings: Settings
 ) -> RowFit:
-    """Fit rows to displacements, in the simplest features that explain these stretches as well as any.
+    """Fit constrained rows to displacements in several feature maps, and choose the simplest one that fits well.
 
     Args:
-        candidates: Views to compare.
-        view: View of the rows.
-        rows: Array (s, r), whitened, where the fit begins.
-        spans: Stretches in which they are constrained.
+        candidates: Views (samples in different feature maps) to compare, simplest first.
+        view: View in which `rows` are given.
+        rows: Whitened rows (s, r) with which the fit starts.
+        spans: Stretches in which the rows are constrained.
         settings: Settings of the fit.
 
     Returns:
-        Best fit, in one of the views.
+        Among the fits that explain the stretches about as well as the best one, the first that is a known mechanism, or
+        else the first.
     """
     s = settings.n_constraints or len(rows)
 
@@ -480,13 +495,16 @@ def best_fit(
 
 
 def evaluate(part: _Part, gate: Gate, whole: Sequence[View], settings: Settings) -> Answer | NotIdentifiableError:
-    """Return the constraint of stretches, with its evidence and warnings; or a refusal.
+    """Evaluate fitted rows: return the constraint with its evidence and warnings.
 
     Args:
-        part: Rows, fitted by displacements, and the stretches in which they are constrained.
-        gate: Test of the evidence.
+        part: Rows that were fitted to displacements, and the stretches in which they are constrained.
+        gate: Test that accepts or rejects rows by their evidence.
         whole: Views of the whole twist of the hand.
         settings: Settings of the fit.
+
+    Returns:
+        The answer; or, if the rows are not accepted, the error that states why, not raised.
     """
     fit, share, spans = part
     view, table, evidence = fit.view, fit.view.table, gate.evidence(fit.view, spans)
@@ -589,11 +607,14 @@ def _warnings(a: Answer, settings: Settings) -> list[str]:
 
 
 def complete_answer(a: Answer, settings: Settings) -> Answer:
-    """Return the answer with all rows of the hand, its grip, and the rows in the requested axes.
+    """Complete an answer: its mechanism, grip, all rows of the hand, and the rows in the requested axes.
 
     Args:
-        a: Answer from `evaluate`; it is changed.
+        a: Answer from `evaluate`; it is modified.
         settings: Settings of the fit.
+
+    Returns:
+        The same answer `a`.
     """
     table, place, fit = a.view.table, a.placed, a.firm or a.fit
     view = fit.view
@@ -634,13 +655,14 @@ def complete_answer(a: Answer, settings: Settings) -> Answer:
 
 
 def is_at_one_place(fit: RowFit) -> bool:
-    """Return True if the rows are at one place in all recordings, within the scatter of each.
+    """Return whether the constrained position coordinates have the same values in all recordings.
 
     Args:
         fit: Fit of the rows.
 
     Returns:
-        True also for rows other than constant rows of the position, which are not tested.
+        True if the values differ between recordings by little more than they scatter within each. Also True for
+        features that are no position coordinates along fixed axes, which are not tested.
     """
     f, motion = fit.view.features, fit.motion
     if not isinstance(f, PoseRows) or f.own_axes or not f.only_linear:
@@ -652,18 +674,18 @@ def is_at_one_place(fit: RowFit) -> bool:
 
 
 def mu_error(view: View, fit: Any, errors: Errors, inside: np.ndarray) -> float:
-    """Return the error |d log mu| that is not exceeded in 68 % of draws and postures.
+    """Return the relative error of the manipulability mu that is not exceeded in 68 % of draws and configurations.
 
-    d log mu = tr(A^+ dA) - tr(Lambda^+ dLambda), at up to 95 postures.
+    The error d log mu = tr(A^+ dA) - tr(Lambda^+ dLambda) is computed at up to 95 configurations.
 
     Args:
         view: View of the rows.
-        fit: Fit with whitened rows `rows` (s, r) and their complement `perp`.
+        fit: Fit with the whitened rows `rows` (s, r) and their orthonormal complement `perp`.
         errors: Draws of the error of the fit.
-        inside: Mask (n,) of the samples that count.
+        inside: Mask (n,) of the samples to use.
 
     Returns:
-        Relative error of mu [1].
+        Relative error, without a unit.
     """
     few = np.flatnonzero(inside)
     few = few[:: max(1, len(few) // 48)]

@@ -1,4 +1,4 @@
-"""Audit of recordings by a learnt constraint: every recording is measured, ranked, and judged."""
+"""Audit recordings with a learnt constraint: measure and rank each one, and decide which ones to leave out."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ RULE = "left out where the robust z-score of a criterion, (value - median) / (1.
 
 
 class EpisodeAudit(NamedTuple):
-    """Measures and verdict of one recording; a measure is NaN where it is not defined (no limits, too few samples).
+    """Measures of one recording, and the decision to keep it or leave it out.
 
-    A measure by which recordings are judged is annotated with the name of the criterion, the direction of bad values
-    (0: both), the value below which differences do not matter (set by hand; such measures are compared by their
-    logarithms, measures with 0 as they are), and the reason.
+    A measure is NaN if it is not defined (no limits, too few samples). A measure that is a criterion has an annotation
+    with four entries: name of the criterion; direction of bad values (1 large, -1 small, 0 both); value below which
+    differences do not matter (if it is not 0, logarithms are compared); text of the reason.
 
     Attributes:
         episode: Name of the trajectory.
@@ -36,9 +36,9 @@ class EpisodeAudit(NamedTuple):
             unit of the rows.
         sigma_median: Median of the smallest singular values.
         manipulability_min: Smallest manipulability mu(q) = sqrt(det(A A^T)).
-        residual: Share of the motion that violates A(q) u = 0, sqrt(sum |A^+ A u|^2 / sum |u|^2).
-        displacement_mm: Extent of the motion along constrained rows in m [mm].
-        displacement_deg: Extent of the motion along constrained rows in rad [degrees].
+        residual: Share of the motion that violates A(q) u = 0, see `Constraint.residual`.
+        displacement_mm: Extent of the motion along constrained linear rows [mm].
+        displacement_deg: Extent of the motion along constrained angular rows [degrees].
         limit_margin: Smallest distance to a position limit, as a share of the joint's range; negative beyond it.
         limit_joint: Joint with the smallest distance, or an empty string.
         beyond_limits: Share of the samples beyond a position limit.
@@ -86,8 +86,8 @@ class AuditReport(NamedTuple):
     Attributes:
         episodes: Measures, score and reasons of each recording.
         criteria: Names of the criteria used.
-        threshold: Robust z-score beyond which a recording is left out; infinite for fewer than five.
-        notes: Remarks of the readers, and limits of this audit.
+        threshold: Robust z-score beyond which a recording is left out; infinite for fewer than five recordings.
+        notes: Remarks of the readers, and limitations of this audit.
     """
 
     episodes: tuple[EpisodeAudit, ...]
@@ -101,7 +101,7 @@ class AuditReport(NamedTuple):
         return tuple(e for e in self.episodes if e.leave_out)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return plain data for JSON; NaN and infinity are left to the writer."""
+        """Return all attributes as plain dictionaries, lists and numbers; NaN and infinity are not replaced."""
         odd = [{"episode": e.episode, "number": e.number, "reasons": e.reasons} for e in self.leave_out]
         rule = {"text": RULE, "criteria": self.criteria, "threshold": self.threshold}
         rows, sizes = [e._asdict() for e in self.episodes], [e.n_samples for e in self.episodes]
@@ -118,23 +118,26 @@ def audit_episodes(
     client: Any = None,
     progress: Progress | None = None,
 ) -> AuditReport:
-    """Measure, rank and judge recordings by a constraint; one of them is in memory at a time.
+    """Measure and rank recordings with a constraint, and name the ones to leave out of a data set.
+
+    One recording is in memory at a time.
 
     Args:
-        constraint: Learnt or written by hand. If it was learnt as self-imposed (the demonstrator drives the rows),
-            motion along its rows is no violation and does not count.
-        demonstrations: Recordings, as for `ConstraintLearner.fit`.
-        velocities: Use of recorded velocities, as in `ConstraintLearner`.
-        false_alarms: Probability that any of equally good recordings is left out; a larger one leaves out more.
+        constraint: Constraint, learnt or written by hand. If it was learnt as self-imposed (the demonstrator drives the
+            rows), motion along its rows is no violation.
+        demonstrations: Recordings, in any form that `ConstraintLearner.fit` accepts.
+        velocities: `"auto"` or `"derive"` to derive velocities from positions, `"recorded"` for recorded velocities.
+        false_alarms: Probability of leaving out at least one recording if all are equally good, between 0 and 1. With a
+            larger value, more recordings are left out.
         client: A `dask.distributed.Client` whose workers measure the recordings; None to measure in this process.
-        progress: Function of the name of a stage and its completed share; None for none.
+        progress: Function that is called with the name of a stage and its completed share, 0 to 1; None for none.
 
     Returns:
-        Measures and verdicts, the worst recording first.
+        Measures and decisions for all recordings, the worst first.
 
     Raises:
-        RecordingError: No demonstrations, another robot's joints, velocities that cannot be derived, or a probability
-            that is not between 0 and 1.
+        RecordingError: There are no demonstrations, they are of another robot, velocities cannot be derived, or
+            `false_alarms` is not between 0 and 1.
         ManipLearnError: The workers of the client died.
     """
     if not 0.0 < false_alarms < 1.0:

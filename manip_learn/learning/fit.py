@@ -37,12 +37,13 @@ TAU = np.append(0.0, np.geomspace(1e-6, 3e-2, 60))  # [rad] candidate joint offs
 
 
 class Levels(NamedTuple):
-    """Motion along each direction.
+    """Size of the motion along each direction.
 
     Attributes:
-        sizes: Array (r,), smallest first, relative to a motion that is equally strong in all joints [1].
-        directions: Array (r, r) of whitened rows.
-        gaps: Number of rows that leaves a joint free -> ratio of the next size to the largest size of the rows.
+        sizes: RMS motion along each direction, smallest first, relative to a motion that is equally strong in all
+            joints, shape (r,).
+        directions: The directions, as whitened rows (r, r).
+        gaps: Number of rows s -> gap, the ratio of size s + 1 to size s. Only for s that leave a joint free.
     """
 
     sizes: np.ndarray
@@ -51,12 +52,12 @@ class Levels(NamedTuple):
 
 
 def levels_from_moments(M: np.ndarray, S: np.ndarray, x: np.ndarray) -> Levels:
-    """Return the size of the motion along each direction.
+    """Compute the size of the motion along each direction from second moments.
 
     Args:
-        M: Matrix (r, r), sum of r r^T of the rates, or displacements, r = Phi x.
-        S: Matrix (r, r), sum of Phi Phi^T.
-        x: Array (n, nv), motion of the joints.
+        M: Sum of y y^T (r, r) over all samples, with the velocities or displacements y = Phi x along the rows.
+        S: Sum of Phi Phi^T (r, r) over all samples.
+        x: Motion of the joints (n, nv): velocities or displacements.
     """
     (sizes,), (directions,) = least_used(M[None], S[None], np.zeros(1))
     sizes = sizes * np.sqrt(x.size / max(float(np.sum(x**2)), 1e-300))
@@ -66,11 +67,11 @@ def levels_from_moments(M: np.ndarray, S: np.ndarray, x: np.ndarray) -> Levels:
 
 
 def view_levels(view: View, stretches: Sequence[Stretch]) -> Levels:
-    """Return the size of the velocities along each direction of a view.
+    """Compute the size of the velocities along each direction of a view.
 
     Args:
-        view: View, whose rows are whitened.
-        stretches: Parts of recordings whose samples count.
+        view: View (samples in whitened features).
+        stretches: Parts of recordings whose samples are used.
     """
     inside = view.table.inside(stretches, learnt_from=True)
     rates = view.all.rates[inside]
@@ -82,16 +83,17 @@ class Motion:
     """Evenly spaced samples of some stretches in one view.
 
     Attributes:
-        view: View, whose rows are whitened.
-        arm: Prior of the errors of the arm.
-        x: Array (n, nv) of recorded positions [rad or m].
-        y: Array (n, r) of displacements along the rows.
-        Phi: Array (n, r, nv) of features.
-        poses, J: Arrays (n, 4, 4) and (n, 6, nv), pose of the hand and all six rows of its frame; None without a frame.
-        way: Array (n, nv) of recorded velocities times a duration, as large as displacements; None if positions are
-            used. With velocities, held rows are zero in each sample; with positions, they are constant in each stretch.
-        parts: Samples of each stretch.
-        recs: Recording of each stretch.
+        view: View (samples in whitened features).
+        arm: Prior standard deviations of the errors of the arm.
+        x: Recorded joint positions (n, nv) [rad or m].
+        y: Displacements (n, r) along the whitened rows.
+        Phi: Whitened features (n, r, nv).
+        poses, J: Poses (n, 4, 4) of the hand, and its Jacobians (n, 6, nv); None without a frame.
+        way: If recorded velocities are used: velocities (n, nv) times a duration, which makes them as large as
+            displacements; held rows are then zero in each sample. None if positions are used; held rows are then
+            constant in each stretch.
+        parts: Slice of the n samples that belongs to each stretch.
+        recs: Index of the recording of each stretch.
     """
 
     view: View
@@ -107,12 +109,16 @@ class Motion:
 
     @staticmethod
     def of(view: View, stretches: Sequence[Stretch], settings: Settings) -> Motion:
-        """Return samples of the stretches from which rows are learnt.
+        """Collect samples of some stretches, thinned out evenly to about 4000.
 
         Args:
-            view: View, whose rows are whitened.
+            view: View (samples in whitened features).
             stretches: Parts of recordings.
-            settings: Settings of the fit: the prior of the arm's errors, and the choice of velocities or positions.
+            settings: Settings of the fit: prior of the arm's errors (`arm`), and use of velocities instead of positions
+                (`by_rates`).
+
+        Returns:
+            The samples.
         """
         # number of samples of all stretches together, and least number of each stretch
         most_samples, least_samples = 4000, 60
@@ -131,7 +137,7 @@ class Motion:
 
     @cached_property
     def levels(self) -> Levels:
-        """RMS displacement along each direction."""
+        """RMS displacement along each direction, as `Levels`."""
         y, x = self.y, self.x if self.way is None else self.way
         if self.way is None:
             y, x = (np.concatenate([z[p] - z[p].mean(axis=0) for p in self.parts]) for z in (y, x))
@@ -141,25 +147,25 @@ class Motion:
 def link_error_changes(
     features: FeatureMap, q: Float[np.ndarray, "n nv"], u: Float[np.ndarray, "n nv"]
 ) -> Float[np.ndarray, "n p e"]:
-    """Return the change of Phi(q) u by unit errors of e links.
+    """Return the change of Phi(q) u by a unit error of each link's geometry.
 
-    An error of a link displaces everything behind it, as a joint with a rigid motion at that place would. With the
-    twist (v, w) of the frame caused by one such error, at its origin, the joints behind it turn with w, and the origin
-    moves by v relative to the joints before it. So a motion with the twist V = V_before + V_behind becomes
+    An error of a link displaces everything behind it, like an additional joint at that position. Let (v, w) be the
+    twist of the frame caused by one such error, at the frame's origin: the joints behind it turn with w, and the origin
+    moves by v relative to the joints before it. The twist V = V_before + V_behind of a motion then changes by
 
         dV = (w_before x v + w x v_behind,  w x w_behind)
 
-    as for the derivative by the position of a joint. The rates W V of rows then change by W dV + dW V. The place of the
-    first joint is the place of the base, which no recording shows: it is left out. There are no such errors (e = 0) if
-    the features are not those of one frame in the base.
+    as for the derivative with respect to a joint position. The velocities W V of the rows change by W dV + dW V. Errors
+    of the first joint's pose are left out, because they move the base and no recording shows them.
 
     Args:
         features: Feature map Phi.
-        q: Array (n, nv) of postures [rad or m].
-        u: Array (n, nv) of joint velocities, or displacements.
+        q: Configurations (n, nv) [rad or m].
+        u: Joint velocities, or displacements (n, nv).
 
     Returns:
-        Array (n, p, e).
+        Changes (n, p, e) for e errors (position and orientation of each link). e = 0 if the features are not of one
+        frame relative to the base.
     """
     none = np.zeros((len(q), features.n_rows, 0))
     if not isinstance(features, WeighedVelocity | PoseRows) or features.relative_to is not None:
@@ -188,16 +194,18 @@ def link_error_changes(
 
 
 class RowFit:
-    """Fit of a Lambda (whitened, orthonormal rows) to a motion, with its residual and derivatives.
+    """Fit of constrained rows Lambda to displacements, with its residual and derivatives.
+
+    Lambda has whitened orthonormal rows; it changes to Lambda + B Lambda_perp with the parameters B.
 
     Attributes:
         motion, view: Samples, and their view.
-        rows, perp: Arrays (s, r) and (r - s, r), rows of Lambda and their orthonormal complement.
-        r: Array (n, s) of weighted residuals [rad].
-        cost: Sum of squares of the residual.
-        m: Number of parameters B of Lambda + B Lambda_perp.
+        rows, perp: Rows of Lambda (s, r), and their orthonormal complement (r - s, r).
+        r: Weighted residuals (n, s) [rad].
+        cost: Sum of squares of the residuals.
+        m: Number of parameters, the size of B.
         dof: Degrees of freedom of the residual.
-        variance: Variance of the residual, of at least `ACCURACY` squared [rad^2].
+        variance: Variance of the residual, at least `ACCURACY` squared [rad^2].
     """
 
     def __init__(self, motion: Motion, rows: np.ndarray):
@@ -217,10 +225,10 @@ class RowFit:
         self.variance = self.cost / self.dof + ACCURACY**2
 
     def centre(self, columns: np.ndarray) -> np.ndarray:
-        """Return columns less their best constants in each stretch; unchanged for velocities.
+        """Subtract from each column its best-fitting constant in each stretch; do nothing if velocities are used.
 
         Args:
-            columns: Array (n, s, c).
+            columns: Array (n, s, c) of c columns.
 
         Returns:
             Array (n, s, c).
@@ -232,13 +240,13 @@ class RowFit:
         return out
 
     def sums(self, X: np.ndarray) -> dict[int, np.ndarray]:
-        """Return X^T X of each recording, by its number.
+        """Return X^T X of each recording.
 
         Args:
-            X: Array (n, s, c) of columns.
+            X: Array (n, s, c) of c columns.
 
         Returns:
-            Number of a recording -> matrix (c, c).
+            Dictionary from the index of a recording to its matrix (c, c).
         """
         out = dict.fromkeys(self.motion.recs, np.zeros((X.shape[2], X.shape[2])))
         for p, i in zip(self.motion.parts, self.motion.recs, strict=True):
@@ -246,10 +254,10 @@ class RowFit:
         return out
 
     def correction(self) -> np.ndarray:
-        """Return the smallest change of each posture that cancels its residual.
+        """Return the smallest change of each configuration after which its residual is zero.
 
         Returns:
-            Array (n, nv) [rad or m].
+            Changes (n, nv) [rad or m].
         """
         off = np.linalg.solve(self.root, self.r[:, :, None])  # along the rows
         gram = self._A @ self._A.transpose(0, 2, 1)
@@ -258,10 +266,11 @@ class RowFit:
 
     @cached_property
     def X(self) -> np.ndarray:
-        """Columns [J K r], an array (n, s, m + e + 1).
+        """Columns [J K r] of the least-squares problem, shape (n, s, m + e + 1).
 
-        K is the change of y by unit joint offsets and, in proportion, errors of links. It is evaluated at the nearest
-        postures on the mechanism: at the recorded postures it would contain the residual itself (errors in variables).
+        J is the derivative of the residual r with respect to B. K is its change by unit joint offsets and, in
+        proportion, errors of links. K is evaluated at the nearest configurations on the mechanism, because at the
+        recorded ones it would contain the residual (errors in variables).
         """
         motion, features, arm = self.motion, self.view.features, self.motion.arm
         dq = self.correction()
@@ -279,7 +288,7 @@ class RowFit:
 
     @cached_property
     def G(self) -> dict[int, np.ndarray]:
-        """Sums X^T X of each recording, by its number."""
+        """Matrix X^T X of each recording, by the index of the recording."""
         return self.sums(self.X)
 
     def best(self) -> RowFit:
@@ -301,14 +310,19 @@ class RowFit:
 
     @cached_property
     def inflation(self) -> float:
-        """Factor by which correlated neighbours increase a variance."""
+        """Factor by which correlation of neighbouring samples increases a variance, at least 1."""
         return autocorrelation(self.r, self.motion.parts)
 
     def nats(self, other: RowFit) -> float:
-        """Return the gain over another fit with as many rows, net of the price of parameters (Schwarz, 1978) [nats].
+        """Return the log-likelihood ratio to another fit with as many rows, with a penalty for parameters [nats].
+
+        The penalty is from the information criterion of Schwarz (1978).
 
         Args:
-            other: Fit to the same motion.
+            other: Fit to the same motion, e.g. in other features.
+
+        Returns:
+            Positive if this fit is better [nats].
         """
         n, floor = self.dof / self.inflation, self.dof * ACCURACY**2
         gain = n * float(np.log((other.cost + floor) / (self.cost + floor)))
@@ -316,11 +330,14 @@ class RowFit:
 
 
 def solve(H: np.ndarray, g: np.ndarray) -> np.ndarray:
-    """Return H^+ g, with each unknown scaled by its own curvature.
+    """Solve H x = g in the least-squares sense, with each unknown scaled by its own curvature.
 
     Args:
         H: Symmetric matrix (m, m).
-        g: Vector (m,), or columns (m, k).
+        g: Right-hand side (m,), or several as columns (m, k).
+
+    Returns:
+        Solution with the shape of `g`.
     """
     size = 1.0 / np.sqrt(np.maximum(np.diag(H), 1e-300))
     inverse = np.linalg.pinv(H * np.outer(size, size), rcond=1e-12, hermitian=True)
@@ -328,11 +345,11 @@ def solve(H: np.ndarray, g: np.ndarray) -> np.ndarray:
 
 
 def autocorrelation(r: np.ndarray, parts: Sequence[slice]) -> float:
-    """Return the factor by which correlated neighbours in each part increase a variance, at least 1.
+    """Return the factor by which correlation of neighbouring samples increases a variance, at least 1.
 
     Args:
-        r: Array (n, k) of residuals.
-        parts: Consecutive samples of each part.
+        r: Residuals (n, k).
+        parts: Slices of consecutive samples; samples of different slices are no neighbours.
     """
     total, square = 1.0, max(float(np.sum(r**2)) / len(r), 1e-300)
     for k in range(1, 101):
@@ -348,16 +365,16 @@ def autocorrelation(r: np.ndarray, parts: Sequence[slice]) -> float:
 
 
 def group_fit(fit: RowFit) -> list[set[int]]:
-    """Return the groups of recordings that share Lambda, largest first: one group unless several explain much more.
+    """Divide the recordings into groups that share one Lambda, if several groups explain them much better than one.
 
-    Joint offsets are eliminated in both cases: with them, one drawer seems to run in other directions from other
-    postures. The comparison is of first order in B.
+    Joint offsets are eliminated in both cases, because they make one drawer seem to run in different directions from
+    different configurations. The comparison is of first order in the change of Lambda.
 
     Args:
         fit: Fit of one Lambda to all recordings.
 
     Returns:
-        Numbers of the recordings of each group.
+        Indices of the recordings of each group, largest group first.
     """
     m, recs = fit.m, sorted(set(fit.motion.recs))
     away = [np.sqrt(np.mean(np.sum(fit.r[p] ** 2, axis=1))) for p in fit.motion.parts]
@@ -414,16 +431,16 @@ def group_fit(fit: RowFit) -> list[set[int]]:
 
 
 def misfit(fit: RowFit) -> tuple[float, float]:
-    """Return the evidence for another shape, and the RMS residual along the rows.
+    """Test if the rows are the wrong shape, e.g. straight rows for a bent rail.
 
-    The evidence is the gain of cubics in the position of the hand over joint offsets alone, on recordings left out of
-    their fit: it shows a residual that repeats in all recordings.
+    The residual is then a function of the position of the hand that repeats in all recordings. It is fitted by cubic
+    polynomials, which are compared with joint offsets alone on held-out recordings.
 
     Args:
         fit: Fit of the rows.
 
     Returns:
-        Evidence [nats] and residual [m or rad].
+        Evidence for another shape [nats], and RMS residual along the rows [m or rad].
     """
     motion, off = fit.motion, np.linalg.solve(fit.root, fit.r[:, :, None])
     rms = float(np.sqrt(np.mean(np.sum(off**2, axis=(1, 2)))))
@@ -451,13 +468,13 @@ def misfit(fit: RowFit) -> tuple[float, float]:
 
 @dataclass(frozen=True, eq=False)
 class Errors:
-    """Draws of the error of B.
+    """Random draws of the error of a fit's m parameters.
 
     Attributes:
-        noise, arm: Arrays (k, m), parts caused by noise and by errors of the arm.
-        delta: Array (k, e), errors of the arm of each draw.
-        beyond: Size of joint offsets [rad] that explain the residual far better than their prior; 0 if the prior
-            suffices.
+        noise, arm: Errors of the parameters caused by noise, and by errors of the arm, shape (k, m) each for k draws.
+        delta: Errors of the arm in each draw (joint offsets, link errors), shape (k, e).
+        beyond: Size of the joint offsets [rad] if offsets larger than their prior explain the residual far better; 0 if
+            the prior suffices.
     """
 
     noise: np.ndarray
@@ -467,15 +484,15 @@ class Errors:
 
 
 def draw_errors(fit: RowFit, arm: ArmErrors, rng: np.random.Generator) -> Errors | None:
-    """Draw errors of the rows of a fit.
+    """Draw random errors of the parameters of a fit.
 
     Args:
         fit: Fit of the rows.
-        arm: Prior of the errors of the arm.
+        arm: Prior standard deviations of the errors of the arm.
         rng: Source of random numbers.
 
     Returns:
-        Draws; None with a single recording, or if only one row space is possible.
+        The draws; None with a single recording, or if only one row space is possible.
     """
     # number of draws: the 68 % quantile is accurate to 3 %; odds that joint offsets do not exceed their prior
     n_draws, odds = 1000, 20.0
@@ -516,14 +533,14 @@ def draw_errors(fit: RowFit, arm: ArmErrors, rng: np.random.Generator) -> Errors
 
 
 def angles(rows: np.ndarray, W: np.ndarray, B: np.ndarray) -> np.ndarray:
-    """Return the angle of each Lambda + B Lambda_perp to Lambda, in the rows of the features.
+    """Return the angle between the row space of Lambda and each changed row space, Lambda + B Lambda_perp.
 
     Args:
-        rows: Array (s, r), whitened rows of Lambda.
-        W: Whitening matrix (r, p).
-        B: Array (k, s (r - s)) of parameters.
+        rows: Whitened rows (s, r) of Lambda.
+        W: Whitening matrix (r, p), with which the angles are computed in the rows of the features.
+        B: Parameters of k changes, shape (k, s (r - s)).
 
     Returns:
-        Array (k,) [rad].
+        Angles (k,) [rad].
     """
     return row_space_angles((rows + B.reshape(len(B), len(rows), -1) @ null_basis(rows).T) @ W, rows @ W)

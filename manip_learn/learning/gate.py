@@ -1,4 +1,4 @@
-"""Acceptance of rows: by the recombination test, or because they rest at one place.
+"""Accept or reject rows as constrained: by the recombination test, or because they rest at one value each time.
 
 The recombination test aligns the recordings in phase (the share of the path covered) and exchanges their joints at
 random: joint 1 moves as in recording a, joint 2 as in b, and so on. Each joint keeps its own motion; only the
@@ -33,9 +33,9 @@ class RowSupport(NamedTuple):
     """Evidence that one row is constrained, from the recombination test.
 
     Attributes:
-        strength: Motion of the row if the joints moved independently, over the recorded one.
-        p_value: Probability of so little motion along it if the joints moved independently.
-        state: `"held"`, `"free"` or `"untried"`.
+        strength: Motion along the row if the joints moved independently, divided by the recorded motion along it.
+        p_value: Probability of as little motion along the row as recorded, if the joints moved independently.
+        state: `"held"` (constrained), `"free"`, or `"untried"` if the recordings hardly exercise the row.
     """
 
     strength: float
@@ -48,12 +48,12 @@ class Evidence:
     """Evidence from the recombination test for each row, most firmly constrained first.
 
     Attributes:
-        strengths, lower: Strength, and its lower bound with 99 % confidence.
-        chances: p-value.
-        levels: RMS displacement of the recorded motion, relative to the motion of the joints [1].
-        n_pieces: Number of pieces of recordings.
-        believed: Smallest accepted lower bound.
-        firm: Number of rows that rest at one place, accepted without recombination.
+        strengths, lower: Strength of each row (see `RowSupport`), and its lower bound with 99 % confidence, shape (r,).
+        chances: p-value of each row, shape (r,).
+        levels: Recorded RMS displacement along each row, relative to the motion of the joints, shape (r,).
+        n_pieces: Number of pieces of recordings whose joints were exchanged.
+        believed: Smallest lower bound of a strength with which a row is accepted.
+        firm: Number of rows that are accepted without recombination, because they rest at one value each time.
     """
 
     strengths: np.ndarray
@@ -66,7 +66,7 @@ class Evidence:
 
     @property
     def n_rows(self) -> int:
-        """Number of supported rows, from the first one on."""
+        """Number of rows with evidence of a constraint; they are the first ones."""
         n = 0
         rows = zip(self.strengths, self.lower, self.chances, self.levels, strict=True)
         for i, (strength, lower, p, level) in enumerate(rows):
@@ -78,11 +78,14 @@ class Evidence:
         return max(n, min(self.firm, len(self.strengths)))
 
     def verdict(self, s: int, fewest: int = FEWEST) -> str:
-        """Return `"none"`, `"weak"` or `"clear"` for the first s rows.
+        """Rate the evidence that the first s rows are constrained.
 
         Args:
             s: Number of rows.
-            fewest: Smallest number of pieces for clear evidence.
+            fewest: Smallest number of pieces of recordings for clear evidence.
+
+        Returns:
+            `"none"`, `"weak"` or `"clear"`.
         """
         clear = self.n_pieces >= fewest and 0 < s <= self.n_rows and self.lower[s - 1] >= max(OVER_NOISE, self.believed)
         return "none" if not self.n_rows else "clear" if clear else "weak"
@@ -149,14 +152,19 @@ def _aligned(pieces: Sequence[Trajectory], scale: np.ndarray, n_bins: int) -> tu
 def recombination_test(
     features: FeatureMap, pieces: Sequence[Trajectory], seed: int = 0, choices: float = 1.0, believed: float = STRENGTH
 ) -> Evidence:
-    """Return the evidence that rows of Phi are constrained, by exchanging the joints between pieces.
+    """Test if combinations of feature rows are constrained, by exchanging the joints' motions between recordings.
+
+    See the docstring of this module.
 
     Args:
         features: Feature map Phi.
-        pieces: Motions during contact.
-        seed: Seed of the exchanges.
-        choices: Number of hypotheses among which this one was selected (Bonferroni).
-        believed: Smallest accepted lower bound of a strength.
+        pieces: Recorded motions during contact, with velocities.
+        seed: Seed of the random exchanges.
+        choices: Number of hypotheses among which the tested one was selected (Bonferroni correction).
+        believed: Smallest lower bound of a strength with which a row is accepted.
+
+    Returns:
+        Evidence for each row, most firmly constrained first.
     """
     # largest number of phase bins, duration of a bin [s], and largest number of pieces. Set by hand
     max_bins, bin_seconds, max_pieces = 24, 0.25, 16
@@ -228,16 +236,15 @@ def recombination_test(
 
 
 def simultaneous_joints(u: np.ndarray, noise: float) -> tuple[float, float]:
-    """Return the number of joints that move at the same time, and the motion of all but the fastest joint over the
-    noise.
+    """Measure how many joints move at the same time.
 
     Args:
-        u: Array (n, nv) of joint velocities [rad/s or m/s].
-        noise: Variance of the noise of velocities [(rad/s)^2].
+        u: Joint velocities (n, nv) [rad/s or m/s].
+        noise: Variance of the noise of the velocities [(rad/s)^2].
 
     Returns:
-        Effective number of joints: 1 for a single joint, 0 at rest; and a mean square velocity over the variance of the
-        noise.
+        Effective number of joints that move at once (1 if only one joint moves at a time, 0 at rest); and the mean
+        square velocity of all joints but the fastest, divided by `noise`.
     """
     square = u**2
     others = np.sort(np.mean(square, axis=0))[:-1].mean() / max(noise, 1e-300)
@@ -247,16 +254,19 @@ def simultaneous_joints(u: np.ndarray, noise: float) -> tuple[float, float]:
 
 
 def is_firm(view: View, rows: np.ndarray, share: float, stretches: Sequence[Stretch]) -> bool:
-    """Return True if rows rest at one place in at least three recordings, each time reached from elsewhere.
+    """Return whether rows rest at one value in at least three recordings, each time after a motion along them.
 
-    They move no more than the noise, and far less than free rows. A joint at rest has no motion to exchange, so the
-    recombination test does not apply.
+    During the stretches the rows move no more than the noise, and far less than free rows. The recombination test does
+    not apply to such rows, because joints at rest have no motion to exchange.
 
     Args:
         view: View of the rows.
-        rows: Array (s, r) of whitened rows.
-        share: Share of the free velocity that violates the rows.
-        stretches: Stretches in which they are constrained.
+        rows: Whitened rows (s, r).
+        share: Share of the velocity of free motion that violates the rows.
+        stretches: Stretches in which the rows are supposed to be constrained.
+
+    Returns:
+        True if all conditions hold.
     """
     table, m, s, recordings = view.table, view.all, len(rows), {x.recording for x in stretches}
     if len(recordings) < FEWEST or share > SLIGHT or table.q.shape != table.u.shape or s >= view.r:
@@ -283,24 +293,27 @@ def is_firm(view: View, rows: np.ndarray, share: float, stretches: Sequence[Stre
 
 @dataclass(frozen=True)
 class Gate:
-    """Test of a hypothesis that was selected among several views and numbers of rows.
+    """Test that accepts or rejects a hypothesis, which was selected among several views and numbers of rows.
 
     Attributes:
-        seed: Seed of the recombination.
-        believed: Smallest accepted lower bound of a strength.
+        seed: Seed of the random exchanges of the recombination test.
+        believed: Smallest lower bound of a strength with which a row is accepted.
     """
 
     seed: int = 0
     believed: float = STRENGTH
 
     def evidence(self, view: View, stretches: Sequence[Stretch], choices: float | None = None) -> Evidence:
-        """Return the evidence of stretches.
+        """Apply the recombination test to some stretches.
 
         Args:
             view: View of the rows.
-            stretches: Stretches in which they are constrained.
-            choices: Number of hypotheses among which this one was selected; None for the number of choices of as many
-                stretches, as long as these, from all recordings, times the hypotheses of all views.
+            stretches: Stretches in which the rows are supposed to be constrained.
+            choices: Number of hypotheses among which the tested one was selected. None to compute it: number of ways to
+                choose that many stretches of this length from all recordings, times the hypotheses of all views.
+
+        Returns:
+            Evidence for each row, most firmly constrained first.
         """
         pieces = drop_duplicates(view.table, stretches)
         m, n, numbers = view.thin, len(view.table.moved), Counter(s.recording for s in pieces)
@@ -316,12 +329,12 @@ class Gate:
         return recombination_test(view.features, list(pieces.values()), self.seed, choices, self.believed)
 
     def __call__(self, view: View, h: Hypothesis, stretches: Sequence[Stretch]) -> bool:
-        """Return True if rows are constrained in stretches, by the recombination test or by one place.
+        """Return True if there is evidence that rows are constrained, from the recombination test or `is_firm`.
 
         Args:
             view: View of the rows.
-            h: Hypothesis of the rows.
-            stretches: Stretches in which they are constrained.
+            h: Hypothesis with the rows.
+            stretches: Stretches in which the rows are supposed to be constrained.
         """
         if view.curved and len(h.rows) > 2:  # three surfaces meet in points
             return False

@@ -72,15 +72,17 @@ MOST_CENTRES, SAMPLES_PER_CENTRE = 96, 10  # radial functions of the policy that
 
 
 def regressors(table: Table, grade: str, seed: int) -> np.ndarray:
-    """Return one grade of the regressors beta of a policy: monomials of a degree, waves, offsets or radial functions.
+    """Compute one group of regressors beta(q) of a null-space policy at all samples.
 
-    With x, the posture shifted and scaled to about [-1, 1], monomials have sum beta(x) beta(y) = (x . y / m)^degree.
+    Monomials are of the configuration shifted and scaled to about [-1, 1], call it x with m entries; they are scaled so
+    that the sum of beta(x) beta(y) over the monomials of a degree is (x . y / m)^degree.
 
     Args:
-        table: n samples.
-        grade: One of `POLYNOMIALS`; `"offset"`; `"harmonic1"` or `"harmonic2"`; or `"rbf32"`, with the number of
-            functions.
-        seed: Seed of the choice of the centres.
+        table: Samples, n of all recordings together.
+        grade: Name of the group: one of `POLYNOMIALS` for the monomials of a degree; `"offset"` for a constant per
+            recording; `"harmonic1"` or `"harmonic2"` for sines and cosines; `"rbf"` and a number of radial functions,
+            e.g. `"rbf32"`.
+        seed: Seed for the choice of the centres of the radial functions.
 
     Returns:
         Array (n, k).
@@ -109,16 +111,26 @@ def regressors(table: Table, grade: str, seed: int) -> np.ndarray:
 
 
 class Data:
-    """Samples in whitened rows, with the regressors of a policy and the grade of each.
+    """Some samples of a view, with the regressors of a null-space policy; without regressors for held rows.
 
-    Without grades they are the samples for held rows.
+    Args:
+        view: View with the whitened features.
+        names: Names of the groups of regressors, see `regressors`; empty for held rows.
+        seed: Seed for the choice of the centres of radial functions.
+        some: Indices of the n samples to use.
+        mixing: Matrix (nv, nv) by which velocities and features are multiplied to whiten the noise, see
+            `noise_whitening`; None for the identity.
 
     Attributes:
-        mixing: L^-1 of the noise's covariance L L^T, by which u was multiplied.
+        Phi, u: Features (n, r, nv) and joint velocities (n, nv), multiplied by `mixing`.
+        beta, grades: Regressors (n, k), and the index (k,) of the group of each; variances are fitted per group.
+        recording: Index (n,) of the recording of each sample.
+        mixing: The matrix above.
         own: True if each recording has an offset of its own.
-        floor: Smallest variance that counts as noise: below it, the residual shows how well features approximate the
-            policy.
-        enough: Largest variance at which a policy leaves nothing but noise.
+        mean_square: Mean square of the entries of `u`.
+        floor: Smallest variance that is attributed to noise; a smaller residual only shows how well the regressors
+            approximate the policy.
+        enough: Largest residual variance at which nothing but noise remains.
     """
 
     def __init__(self, view: View, names: Sequence[str], seed: int, some: np.ndarray, mixing: np.ndarray | None = None):
@@ -134,10 +146,15 @@ class Data:
         self.enough = ABOVE_NOISE * max(self.floor, 0.0 if self.own else float(np.median(table.noise[some])))
 
     def parts(self, most: int) -> list[np.ndarray]:
-        """Return the entries of u of groups of recordings; of interleaved samples where recordings have offsets.
+        """Divide the samples into groups, e.g. for leaving out one group at a time.
+
+        Groups consist of whole recordings, or of interleaved samples if each recording has an offset of its own.
 
         Args:
             most: Largest number of groups.
+
+        Returns:
+            Indices of the entries of the flattened `u` in each group.
         """
         n = self.recording[-1] + 1
         group = np.arange(len(self.u)) % most if self.own else self.recording * min(n, most) // n
@@ -145,17 +162,18 @@ class Data:
 
 
 def noise_whitening(table: Table) -> np.ndarray | None:
-    """Return L^-1 for noise of covariance L L^T.
+    """Return the matrix that makes the noise of the joint velocities equal and uncorrelated in all joints.
 
-    Policy and task move the arm smoothly, noise does not: third differences of the velocities show it. The estimate
-    uses the direction of each difference, not its length, so bursts count little (Tyler, 1987: the S with mean e e^T /
-    (e^T S^-1 e) = S / nv).
+    The motion is smooth and the noise is not, so third differences e of the velocities show the noise. Its covariance S
+    up to a factor is estimated from their directions, not their lengths, so that bursts have little weight (Tyler,
+    1987: the mean of e e^T / (e^T S^-1 e) is S / nv).
 
     Args:
-        table: n samples.
+        table: Samples of all recordings.
 
     Returns:
-        Matrix (nv, nv); None where the noise is alike in all joints.
+        Inverse (nv, nv) of the Cholesky factor of S; None if the noise is similar in all joints, or if there are too
+        few samples.
     """
     e, nv = np.diff(table.u, 3, axis=0)[table.recording[3:] == table.recording[:-3]], table.u.shape[1]
     e, S = e[np.any(e != 0.0, axis=1)], np.eye(nv)
@@ -166,13 +184,21 @@ def noise_whitening(table: Table) -> np.ndarray | None:
 
 
 class PolicyFit:
-    """A Lambda with its policy: the posterior of Theta with the most likely variances, or least squares.
+    """Fit of a null-space policy for one Lambda, with the derivatives by which Lambda is improved.
 
-    The residual of the policy is e = N (u - pi), N the projector onto the null space of A. Held rows (equation (10))
-    are the same with I - N in the place of N and without a policy: e = A^+ A u.
+    The policy pi(q) = Theta^T beta(q) has the posterior mean of Theta with the most likely variances, or is a
+    least-squares fit (`exact`). Its residual is e = N (u - pi), where N projects onto the null space of A = Lambda Phi.
+    For held rows there is no policy and e = A^+ A u, equation (10) of Manavalan and Howard.
 
-    D (n nv, k) is the derivative of N pi by Theta, J (n nv, m) the derivative of e by B of Lambda + B Lambda_perp; D
-    back^T = K, and K K^T projects a change of e onto its part that the policy absorbs.
+    Lambda changes to Lambda + B Lambda_perp with parameters B. D (n nv, k) is the derivative of N pi with respect to
+    Theta, and J (n nv, m) the derivative of e with respect to B. With K = D back^T, the matrix K K^T projects a change
+    of e onto the part that the policy can follow.
+
+    Args:
+        d: Samples with n velocities.
+        rows: Lambda, whitened orthonormal rows (s, r).
+        before: Fit for a similar Lambda, whose variances are the initial values; None for none.
+        exact: True for a least-squares fit without noise; False for a Bayesian one.
     """
 
     def __init__(self, d: Data, rows: np.ndarray, before: PolicyFit | None = None, exact: bool = False):
@@ -237,11 +263,13 @@ class PolicyFit:
         self.residual = float(np.sum(self.e**2))
 
     def best(self, steps: int = 40) -> PolicyFit:
-        """Return the Lambda of smallest cost from here, by Levenberg-Marquardt steps, without grades that are not
-        needed.
+        """Improve Lambda by Levenberg-Marquardt steps, and drop groups of regressors that the data do not need.
 
         Args:
             steps: Largest number of steps.
+
+        Returns:
+            The fit with the smallest cost.
         """
         here, damping = self, 0.0
         for _ in range(steps):
@@ -261,16 +289,18 @@ class PolicyFit:
         return here
 
     def errors(self, rng: np.random.Generator) -> dict[str, np.ndarray]:
-        """Draw errors B by a bootstrap over recordings, each with its share of the step; and errors of the policy.
+        """Draw random errors of the m parameters B of Lambda + B Lambda_perp.
 
-        The residual of a recording is too small, since the fit follows it: (I - K K^T)^(-1/2) e is as large as the
-        noise (Bell and McCaffrey, 2002). The policy is drawn towards zero, by (C + P)^-1 P Theta.
+        Errors by noise are a bootstrap over recordings. Residuals are corrected for being too small, because the fit
+        follows them: (I - K K^T)^(-1/2) e is as large as the noise (Bell and McCaffrey, 2002). Errors by the policy
+            come
+        from the prior, which draws it towards zero by (C + P)^-1 P Theta (see the docstring of this module).
 
         Args:
             rng: Source of random numbers.
 
         Returns:
-            Source of the error (`"noise"`, `"policy"`) -> array (k, m); empty with a single part.
+            Cause of the error (`"noise"`, `"policy"`) -> draws (k, m); empty if there is a single recording.
         """
         n_draws = 400  # bootstrap samples of the recordings
         parts, moves = self.d.parts(100), []
@@ -292,20 +322,20 @@ class PolicyFit:
         return out
 
     def deviance(self, floor: float) -> float:
-        """Return - 2 log N, see the module.
+        """Return minus twice the log-likelihood of the null-space motion, -2 log N in the docstring of this module.
 
         Args:
-            floor: Smallest variance of the noise [(rad/s)^2].
+            floor: Smallest allowed variance of the noise [(rad/s)^2].
         """
         noise, penalty = max(floor, self.noise), float(np.sum(self.precision * self.theta**2))
         volume = -2.0 * float(np.sum(np.log(np.diag(self.back)))) - float(np.sum(np.log(self.precision)))
         return self.n_residuals * math.log(noise) + volume + (self.residual + penalty) / noise
 
     def nats(self, floor: float) -> float:
-        """Return the log-likelihood l, see the module [nats].
+        """Return the log-likelihood of Lambda [nats], l in the docstring of this module.
 
         Args:
-            floor: Smallest variance of the noise [(rad/s)^2].
+            floor: Smallest allowed variance of the noise [(rad/s)^2].
         """
         d, n, squares, counts = self.d, len(self.d.u), np.zeros(64), np.zeros(64)
         for signal in np.split(d.u - self.null, np.flatnonzero(np.diff(d.recording)) + 1):
@@ -320,7 +350,7 @@ class PolicyFit:
 
     @cached_property
     def held_out(self) -> float:
-        """Sum of |Z^T (u - pi)|^2 over groups of recordings, each left out of the policy in its turn."""
+        """Cross-validated squared residual: the policy for each group of recordings is fitted to the other groups."""
         total, K_all = 0.0, self.D @ self.back.T
         for some in self.d.parts(10):
             K, e = K_all[some], self.e[some]
@@ -330,17 +360,18 @@ class PolicyFit:
 
 
 def conditional_pca(d: Data, beta: np.ndarray) -> np.ndarray:
-    """Return whitened directions, the strongest task motion first: a closed-form start.
+    """Return directions in the order of their task motion, a closed-form initial guess of Lambda.
 
-    g = (Phi Phi^T)^-1 Phi u = G pi(q) + Lambda^T c, so the residual of a regression of g on the posture lies in the row
-    space; its covariance C is compared with the covariance of isotropic noise: C x = e (sum G G^T) x.
+    With G = (Phi Phi^T)^-1 Phi, the vector g = G u is G pi(q) + Lambda^T c. The residual of a regression of g on the
+    configuration therefore lies in the row space of Lambda. Its covariance C is compared with the covariance of
+    isotropic noise by the eigenproblem C x = e (sum G G^T) x.
 
     Args:
-        d: n samples.
-        beta: Array (n, k) of regressors.
+        d: Samples, n of them.
+        beta: Regressors (n, k).
 
     Returns:
-        Array (r, r).
+        Whitened directions as rows (r, r), the strongest task motion first.
     """
     GG = np.linalg.pinv(d.Phi @ d.Phi.transpose(0, 2, 1), rcond=1e-10, hermitian=True)
     g = np.einsum("npq,nqv,nv->np", GG, d.Phi, d.u, optimize=True)
@@ -353,14 +384,14 @@ def conditional_pca(d: Data, beta: np.ndarray) -> np.ndarray:
 
 
 def search(d: Data, rng: np.random.Generator) -> list[PolicyFit]:
-    """Search for the most likely Lambda of each number of rows, from none, on few samples.
+    """Search for the most likely Lambda with each number of rows, without an initial guess.
 
     Args:
-        d: Few samples.
-        rng: Source of random starts.
+        d: A small subset of the samples.
+        rng: Source of random initial guesses.
 
     Returns:
-        Best fit of each number of rows.
+        Best fit for each number of rows.
     """
     # random starts if each recording has its own rest posture, which makes the cost bumpy; random starts otherwise;
     # random subspaces of the best rows
@@ -388,12 +419,15 @@ def search(d: Data, rng: np.random.Generator) -> list[PolicyFit]:
 
 
 def select_likeliest(fits: Iterable[PolicyFit]) -> PolicyFit:
-    """Return the likeliest fit among those whose policy predicts recordings that it was not fitted to.
+    """Return the most likely fit among those whose policy also predicts held-out recordings.
 
-    Likelihood alone prefers a rich policy that follows each of a few recordings.
+    The likelihood alone would prefer a flexible policy that overfits a few recordings.
 
     Args:
         fits: Fits with different numbers of rows.
+
+    Returns:
+        One of the fits.
     """
     some = [f for f in fits if f.held_out <= ABOVE_NOISE * max(f.energy, f.n_residuals * RESOLUTION * f.d.mean_square)]
     return max(some, key=lambda f: f.nats(f.d.floor)) if some else min(fits, key=lambda f: f.held_out)
@@ -401,19 +435,20 @@ def select_likeliest(fits: Iterable[PolicyFit]) -> PolicyFit:
 
 @dataclass(eq=False)
 class Imposed:
-    """Rows that the demonstrator drives, with their null-space policy.
+    """Self-imposed constraint: rows that the demonstrator drives on purpose, with their null-space policy.
 
     Attributes:
-        view, fit: View of the rows, and their fit with the policy.
-        gaps: Number of rows -> gap.
+        view, fit: View (samples in one feature map), and the fit of rows and policy.
+        gaps: Number of rows -> ratio that supports it; the larger, the clearer.
         likeliest: Number of rows with the largest likelihood.
-        weak_gap: Smallest gap at which a number of rows is weakly supported.
-        policy_model, policy_residuals: Name of the policy model, and model -> held-out share of unexplained energy.
-        held_out: Share of the energy that is unexplained on held-out recordings.
+        weak_gap: Smallest gap at which a number of rows counts as weakly supported.
+        policy_model: Name of the policy model.
+        policy_residuals: Policy model -> share of the motion energy that it leaves unexplained on held-out recordings.
+        held_out: Share of the motion energy that is unexplained on held-out recordings.
         nats: Log-likelihood [nats].
-        estimator: `"joint"` or `"separate"`.
-        levels: Sizes of the motion along each direction; empty for the joint estimator.
-        uncertainty, errors: Parts of the uncertainty [deg], and draws of the error.
+        estimator: `"joint"` or `"separate"`, see `ConstraintLearner`.
+        levels: Size of the motion along each direction, smallest first; empty for the joint estimator.
+        uncertainty, errors: Parts of the uncertainty [deg], and draws of the error of the parameters.
         warnings: Warnings about the answer.
     """
 
@@ -434,15 +469,14 @@ class Imposed:
 
 
 def learn_imposed(views: list[View], settings: Settings) -> Imposed | NotIdentifiableError:
-    """Learn the rows that the demonstrator drives, with a null-space policy, in the features with the largest
-    likelihood.
+    """Learn a self-imposed constraint and its null-space policy, in the feature map with the largest likelihood.
 
     Args:
-        views: Views of the requested features.
+        views: One view (samples in one feature map) for each requested feature map.
         settings: Settings of the fit.
 
     Returns:
-        Likeliest rows; or a refusal.
+        The most likely constraint; or, if there is none, the error that states why, not raised.
     """
     table, learn = views[0].table, _separate if settings.estimator == "separate" else _joint
     best: Any = _unidentifiable(table, settings)
@@ -482,10 +516,10 @@ def _unidentifiable(table: Table, settings: Settings) -> NotIdentifiableError | 
 
 
 def is_one_path(table: Table) -> bool:
-    """Return True if all recordings repeat one motion: they show the policy at no configuration off its path.
+    """Return True if all recordings repeat one motion, so that the policy is not known away from its path.
 
     Args:
-        table: Samples.
+        table: Samples of all recordings.
     """
     # largest RMS distance from a path that counts as a repetition, over the standard deviation of the motion
     same = 0.15
@@ -586,14 +620,15 @@ def _add_warnings(a: Imposed, settings: Settings) -> Imposed | NotIdentifiableEr
 
 
 def separate_null_motion(view: View, seed: int) -> np.ndarray | NotIdentifiableError:
-    """Separate the null-space part of the motion, by consistency alone (equation (8), see the module).
+    """Estimate the null-space component of the motion, equation (8) of Manavalan and Howard.
 
     Args:
-        view: View of the rows.
-        seed: Seed of the choice of the radial functions.
+        view: View with the samples.
+        seed: Seed for the choice of the radial functions.
 
     Returns:
-        Array (n, nv); or a refusal.
+        Null-space velocity (n, nv) at each sample; or, if it cannot be estimated, the error that states why, not
+        raised.
     """
     # least number of radial functions; for each stage, the least singular value of the regressors, relative to the
     # largest, and the relative gain at which the stage ends
@@ -628,15 +663,21 @@ def separate_null_motion(view: View, seed: int) -> np.ndarray | NotIdentifiableE
 
 
 def residual_and_jacobian(weights: np.ndarray, basis: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return e = w^ . u - |w~| and its derivative by the weights, d e / d w~ = (u - (w^ . u) w^) / |w~| - w^.
+    r"""Return the residual of equation (8) of Manavalan and Howard at each sample, and its derivative.
+
+    With the estimate w of the null-space component and its direction :math:`\hat w = w / |w|`,
+
+    .. math::
+
+        e = \hat w^T u - |w|, \qquad \frac{\partial e}{\partial w} = \frac{u - (\hat w^T u) \, \hat w}{|w|} - \hat w
 
     Args:
-        weights: Vector (k nv,) of weights of w~ = basis weights.
-        basis: Array (n, k) of regressors.
-        u: Array (n, nv) of joint velocities [rad/s or m/s].
+        weights: Weights (k nv,), flattened (k, nv); w is the product of basis and weights.
+        basis: Regressors (n, k).
+        u: Joint velocities (n, nv) [rad/s or m/s].
 
     Returns:
-        Residual (n,) and its derivative (n, k nv).
+        Residual (n,), and its derivative (n, k nv) with respect to the weights.
     """
     w = basis @ weights.reshape(basis.shape[1], -1)
     length = np.maximum(np.linalg.norm(w, axis=1, keepdims=True), TINY**0.5)

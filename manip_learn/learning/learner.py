@@ -47,18 +47,25 @@ _ALIASES |= {"switch": "switching_cost", "habits": "keep_habits"}
 
 @final
 class ConstraintLearner:
-    """Learner of the selection matrix Lambda in A(q) = Lambda Phi(q) from demonstrations.
+    r"""Learner of task constraints from kinesthetic demonstrations.
 
-    The whole twist of the end effector is searched and fitted, whatever axes the features have; the axes select the
-    rows of `constraint_`, and `skill_` keeps all rows.
+    It estimates the selection matrix Lambda of the constraint
+
+    .. math::
+
+        A(q) = \Lambda \, \Phi(q), \qquad A(q) \, u = b
+
+    The learner always searches all six components of the end effector's twist. The axes of `features` only select the
+    rows of `constraint_`; `skill_` has all rows.
 
     Args:
-        features: Phi; or several candidates (e.g. the same axes in the world and in the tool frame), among which the
-            evidence decides.
-        n_constraints: Number of rows s; by default it follows from the data.
-        estimator: `"null-space"` for motions constrained by the world (b = 0); `"joint"` for motions whose constrained
-            rows the demonstrator drives on purpose (b unknown, a null-space policy that depends on the configuration);
-            `"separate"` for the method of the paper; `"auto"` selects the first or the second from the data.
+        features: Feature map Phi, e.g. `FrameJacobian`; or several (e.g. the same axes in the world and in the tool
+            frame), from which the learner chooses by evidence.
+        n_constraints: Number of rows s; None to determine it from the data.
+        estimator: `"null-space"` for motions constrained by the environment (b = 0); `"joint"` for motions whose
+            constrained rows the demonstrator drives on purpose (b unknown, a null-space policy that depends on the
+            configuration); `"separate"` for the method of Manavalan and Howard; `"auto"` selects `"null-space"` or
+            `"joint"` from the data.
         policy_model: Null-space policy of the joint estimator: `"auto"` (a general prior), `"constant"`, `"affine"`,
             `"quadratic"`, `"cubic"`, `"rbf"`, or `"affine-offset"` (affine, with a rest configuration of its own for
             each trajectory).
@@ -67,30 +74,32 @@ class ConstraintLearner:
             `"off"` treats every recording as one stretch.
         mechanism: `"auto"` identifies a mechanism (line, plane, hinge, ball, screw, held orientation); `"off"` does
             not.
-        strength: Smallest ratio between the use of a row by recombined motions and by the recorded ones, at 99 %
-            confidence, at which a row is accepted. A larger value refuses more; free motion occasionally reaches 1.5.
+        strength: Smallest ratio with which a row is accepted as constrained, at 99 % confidence: motion along the row
+            with joints recombined from different recordings, divided by the recorded motion. A larger value rejects
+            more rows; free motion occasionally reaches 1.5.
         switching_cost: Cost of a transition between contact and free motion [nats]. A larger value gives fewer and
             longer phases; 16 is a probability of exp(-16) for each tenth of a second.
-        keep_habits: True to also learn rows that may only be habits of the demonstrator; they are named in any case.
+        keep_habits: True to also learn rows that may only be habits of the demonstrator; the report names them in both
+            cases.
         max_samples: Largest number of samples used; larger sets are subsampled evenly. Using half of the samples
             changes the direction of a drawer by 0.0005 degrees.
         joint_offset_std: Prior standard deviation of the joint offsets [deg]: 0.05 to 0.2 for industrial arms, 1 for
-            hobby servos. The data correct it where they show the offsets. 0: joints and links as described, unless
-            the data show otherwise.
-        link_error_std: Prior standard deviation of the errors of the links [mm and mrad]: of the position and the
-            orientation of each joint in the frame of its predecessor.
-        seed: Seed of all random draws (recombination, uncertainty, random starts).
+            hobby servos. It is replaced by an estimate if the data show the offsets. With 0, joint offsets and link
+            errors are assumed to be zero unless the data show them.
+        link_error_std: Prior standard deviation of the link errors [mm and mrad]: position and orientation of each
+            joint in the frame of the previous link.
+        seed: Seed of all random draws (recombination, uncertainty, random initial guesses).
         **renamed: Former names of arguments, valid until 0.4: `zeros`, `links`, `most_samples`, `switch`, `habits`.
 
     Attributes:
-        constraint_: The learnt `Constraint`, after `fit`: the best supported one.
-        constraints_: All constraints, clear ones first, then by support.
-        report_: Evidence for the first constraint, a `LearningReport`.
+        constraint_: The best supported `Constraint`, available after `fit` like the other attributes.
+        constraints_: All learnt constraints: clear ones first, then by support.
+        report_: `LearningReport` with the evidence for `constraint_`.
         reports_: One report per constraint.
-        skill_: All constraints with all their rows, in the demonstrated order: a `Skill`.
+        skill_: `Skill` of all constraints with all their rows, in the demonstrated order.
 
     Raises:
-        FeatureError: No features, features of another type, or settings out of range.
+        FeatureError: There are no features, an object is no feature map, or an argument is out of range.
         NotFittedError: An attribute with a trailing underscore is read before `fit`.
 
     Example:
@@ -173,26 +182,29 @@ class ConstraintLearner:
                 raise NumberOfConstraintsError(s, most, repr(features))
 
     def fit(self, demonstrations: Given, *others: object, client: Any = None, progress: Progress | None = None) -> Self:
-        """Learn from demonstrations; a second fit replaces the first.
+        """Learn the constraints of demonstrations; a second call replaces the results of the first.
 
-        At most `max_samples` samples are used. Larger sets are subsampled while they are read, so that recordings that
-        are not in memory need none.
+        At most `max_samples` samples are used. Larger sets are subsampled while they are read, so that the recordings
+        of a source need not fit in memory.
 
         Args:
-            demonstrations: `Demonstrations`; or a trajectory; or arrays `(time, q)` or `(time, q, u)`, one column per
-                joint in the robot's order [s, rad or m]; or a data frame of pandas; or a list of these; or an iterable
-                of motions, which is read once; or a `manip_learn.RecordingSource`, for files larger than memory.
-            others: Must be empty; `fit(q, u)`, the form of other libraries, raises an error with the correct call.
+            demonstrations: `Demonstrations`; or a trajectory; or arrays `(time, q)` or `(time, q, u)` [s, rad or m,
+                rad/s or m/s], one column per joint in the robot's order; or a pandas data frame; or a list of these; or
+                an iterable of trajectories, which is read once; or a `manip_learn.RecordingSource` for files larger
+                than memory.
+            others: Must be empty. A call `fit(q, u)`, as in other libraries, raises an error with the correct call.
             client: A `dask.distributed.Client` whose workers read and subsample the parts of a source; the result does
                 not depend on their number. None to read in this process.
-            progress: Function of the name of each stage and its completed share, 0 to 1; None for none.
+            progress: Function that is called with the name of each stage and its completed share, 0 to 1; None for
+                none.
 
         Returns:
             The learner itself.
 
         Raises:
             NotIdentifiableError: The demonstrations do not determine a constraint; the message gives the reason.
-            RecordingError: They cannot be used (velocities cannot be derived, outliers, another robot's joints).
+            RecordingError: The demonstrations cannot be used: velocities cannot be derived, a velocity is an outlier,
+                or the joints are of another robot.
             ManipLearnError: The workers of the client died.
         """
         for name_of_result in _LEARNT:  # a fit that raises must not leave the result of other demonstrations behind

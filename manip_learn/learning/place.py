@@ -1,9 +1,10 @@
-"""Mechanism of a Lambda with its place and uncertainty, its grip, and the rows in selected axes.
+"""Identify the mechanism behind learnt rows: kind, axis, point and uncertainty, grip, and the rows in selected axes.
 
-It follows from rows in which a mechanism is constant, or is a shape without such rows. The search uses the position of
-the hand. A mechanism may also rotate the hand, keep its orientation, or leave it free: the orientations in the
-stretches decide. Where the position does not move about an axis (a knob, a peg), the rows of the whole twist are fitted
-to displacements instead. Nothing is searched twice, and rotation is never compared with translation.
+The mechanism is identified from features in which its constraint has one Lambda at every configuration (`PlaceRows`),
+or its shape is fitted to positions. The search uses the position of the hand only. A mechanism may also rotate the
+hand, keep its orientation, or leave it free; the recorded orientations decide. If the hand does not move about an axis
+(a knob, a peg), rows of the whole twist are fitted to displacements instead. Rotations are never compared with
+translations.
 """
 
 from __future__ import annotations
@@ -62,11 +63,14 @@ LOOSE = OVER_NOISE * GRIP_PLAY  # [deg] largest rotation of a hand that is not f
 
 @dataclass(frozen=True, eq=False)
 class Placement:
-    """Mechanism with its kind, its place, and the error of the direction in which the hand moves or is held [deg].
+    """Identified mechanism, with the error of its direction at the hand.
 
     Attributes:
-        mechanism, kind, place: Mechanism, its kind and its place.
-        off_deg: Error of the direction that is not exceeded in 68 % of cases [deg]; None without draws of the error.
+        mechanism: Mechanism with its uncertainty.
+        kind: Kind of the mechanism.
+        place: Axis, point and pitch.
+        off_deg: Error of the direction in which the hand moves or is held (see `headings`) that is not exceeded in 68 %
+            of cases [deg]; None if it is not known.
     """
 
     mechanism: Mechanism
@@ -76,7 +80,7 @@ class Placement:
 
     @property
     def doubt(self) -> str:
-        """Warning about a poorly known place; empty for others."""
+        """Warning in words if axis or centre are poorly determined, with a remedy; empty otherwise."""
         # [deg] largest error of the direction, or of the place as seen from the hand, without a warning
         largest = 1.0
         m = self.mechanism
@@ -91,10 +95,13 @@ class Placement:
         return f"{how}: it looks like {m.sentence}, but its place is known badly, to {1e3 * point:.2g} mm"
 
     def rows(self, view: View) -> tuple[FeatureMap, np.ndarray]:
-        """Return Phi and Lambda of the mechanism, without rows that this arm cannot move.
+        """Return Phi and Lambda of the mechanism's constraint, without rows along which this arm cannot move.
 
         Args:
-            view: View with the features of the hand.
+            view: View with features of the hand.
+
+        Returns:
+            Feature map with p rows, and Lambda (s, p).
         """
         features, selection = rows_of(self.kind, self.place, self.mechanism.radius, view.features.twist)
         if not isinstance(features, MechanismRows):
@@ -104,22 +111,28 @@ class Placement:
 
 
 def movable_rows(features: MechanismRows, q: np.ndarray) -> MechanismRows:
-    """Return the rows of a mechanism that the arm can move at postures q (n, nq).
+    """Return the features without the rows along which the arm cannot move at any of the given configurations.
 
     Args:
         features: Rows of a mechanism.
-        q: Array (n, nq) of postures.
+        q: Configurations (n, nq) [rad or m].
+
+    Returns:
+        Features with the remaining rows.
     """
     sizes = np.linalg.norm(features.batch(q[evenly(len(q), 100)]), axis=2).max(axis=0)
     return features.with_rows([n for n, x in zip(features.row_names, sizes, strict=True) if x > 1e-6], features.radius)
 
 
 def locate(fit: RowFit, errors: Errors | None) -> Placement | None:
-    """Return the mechanism of fitted rows, with the uncertainty of its place; None if there is none.
+    """Identify the mechanism of fitted rows, with the uncertainty of its axis and point.
 
     Args:
         fit: Fit of the rows.
-        errors: Draws of their errors; None for no uncertainty.
+        errors: Random draws of the error of the fit; None to compute no uncertainty.
+
+    Returns:
+        The mechanism; None if no known mechanism has these rows, or if it is too far from the hand.
     """
     n_draws = 200  # number of draws of the error for which the place is evaluated
     if (best := kind_of(fit)) is None:
@@ -160,13 +173,14 @@ def locate(fit: RowFit, errors: Errors | None) -> Placement | None:
 
 
 def headings(kind: MechanismKind, place: Place, p: Places) -> Places:
-    """Return the directions in which a mechanism moves hands, or holds them where they move in a surface.
+    """Return the direction of a mechanism at each position of the hand, by which errors of direction are measured.
 
-    For a hand on the axis it is the axis.
+    It is the direction of motion for a line, a hinge and a screw, the normal for a plane, a ball and the side of a
+    cylinder, and the axis for a hand on the axis.
 
     Args:
         kind: Kind of the mechanism.
-        place: Its place.
+        place: Axis, point and pitch of the mechanism.
         p: Positions (n, 3) of the hand [m].
 
     Returns:
@@ -191,11 +205,14 @@ def _placement(
 
 
 def kind_of(fit: RowFit, rows: np.ndarray | None = None) -> tuple[MechanismKind, Place] | None:
-    """Return the mechanism of fitted rows, or of others near to them, and its place; None if there is none.
+    """Identify the kind of mechanism of fitted rows, and its axis and point.
 
     Args:
         fit: Fit of the rows.
-        rows: Whitened rows (s, r); None for the fitted ones.
+        rows: Whitened rows (s, r) to use instead of the fitted ones; None for the fitted rows.
+
+    Returns:
+        Kind and place; None if no known mechanism has these rows.
     """
     view, poses = fit.view, fit.motion.poses
     if poses is None:
@@ -205,15 +222,15 @@ def kind_of(fit: RowFit, rows: np.ndarray | None = None) -> tuple[MechanismKind,
 
 
 def hand_arc(kind: MechanismKind, place: Place, p: np.ndarray) -> tuple[float, float] | None:
-    """Return the mean distance of the hand from the axis or the centre, and its arc.
+    """Return the mean distance of the hand from the axis or the centre, and the angle of its arc about it.
 
     Args:
         kind: Kind of the mechanism.
-        place: Its place.
+        place: Axis and point of the mechanism.
         p: Positions (n, 3) of the hand [m].
 
     Returns:
-        Distance [m] and arc [rad]; None for kinds without axis or centre.
+        Distance [m] and angle [rad]; None for kinds without a fitted axis or centre.
     """
     if not {"point", "point-across"} & set(kind.unknowns):
         return None
@@ -231,12 +248,15 @@ def hand_arc(kind: MechanismKind, place: Place, p: np.ndarray) -> tuple[float, f
 
 
 def fit_shape(fit: RowFit, known: Placement | None, arm_deg: float) -> Placement | CurveRows | None:
-    """Return the shape that explains the positions of the hand far better than these rows; None if there is none.
+    """Look for a shape (cylinder, helix or curve) that explains the positions of the hand far better than these rows.
 
     Args:
         fit: Fit of rows that constrain the position of the hand.
-        known: Mechanism of these rows, or None.
-        arm_deg: Angle by which errors of the arm may turn the shape [deg].
+        known: Mechanism of these rows; None if it is not known.
+        arm_deg: Angle by which errors of the arm may tilt the shape [deg].
+
+    Returns:
+        The mechanism, or the rows across a curve; None if no shape is far better.
     """
     parts, hand = fit.motion.parts, fit.view.features.twist
     if hand is None or fit.rows.shape[0] > 2:
@@ -348,22 +368,21 @@ def _fit_spline(curve: Curve, p: Places, pieces: int) -> Curve:
 def fit_whole(
     views: Sequence[View], place: RowFit, spans: Sequence[Stretch], settings: Settings, gate: Gate
 ) -> RowFit | None:
-    """Fit rows of the whole twist that constrain the hand, more than the rows of its position; None if the grip is
-    loose.
+    """Fit rows of the hand's whole twist, which constrain its orientation in addition to its position (a firm grip).
 
-    They are rows of a mechanism, or else clear and accepted; they constrain the orientation as well as a grip does, and
-    the position with no fewer rows than before. Of these, the rows with the largest gap between the displacements along
-    them and along free directions are returned.
+    Accepted rows belong to a known mechanism, or are clear and pass the gate. They constrain the orientation as tightly
+    as a grip does, and the position with at least as many rows as `place`. Among these, the rows with the largest gap
+    between the displacements along them and along free directions are returned.
 
     Args:
         views: Views of the whole twist.
         place: Fit of the rows that constrain the position of the hand.
-        spans: Stretches in which they are constrained.
+        spans: Stretches in which these rows are constrained.
         settings: Settings of the fit.
-        gate: Test of the evidence.
+        gate: Test that accepts or rejects rows by their evidence.
 
     Returns:
-        Fit of the rows of the whole twist, or None.
+        Fit of the rows of the whole twist; None if the grip is loose.
     """
     best, largest, apart = None, (False, WEAK_GAP), independent_rotation(place.motion)
     J, few, has_name = place.motion.J, evenly(len(place.motion.x), 50), kind_of(place) is not None
@@ -395,16 +414,17 @@ def fit_whole(
 
 
 def grip_kind(known: Placement, motion: Motion) -> tuple[MechanismKind, float, float]:
-    """Return the kind of mechanism with the orientation that it constrains, and the deviation of the orientation.
+    """Determine how a mechanism constrains the orientation of the hand, from the recorded orientations.
 
     Args:
         known: Mechanism that constrains the position of the hand.
-        motion: Contacts.
+        motion: Samples of the contacts.
 
     Returns:
-        The kind with the most rows from which the hand deviates by no more than a grip gives way; the known one if
-        there is none. The smallest RMS deviation of the orientation from one that is fixed or carried by the mechanism,
-        and the RMS rotation by independent joints [deg], medians of the contacts.
+        Three values. The kind of mechanism with the most rows from which the orientation deviates no more than a grip
+        gives way; `known.kind` if there is none. The RMS deviation of the orientation from being fixed or from turning
+        with the mechanism, whichever is smaller [deg]. The RMS rotation of `independent_rotation` [deg]. Deviations are
+        medians over the contacts.
     """
     place, apart, deviations = known.place, independent_rotation(motion), list[dict[str, float]]()
     for T in (motion.poses[p] for p in motion.parts):  # RMS rotation from each orientation that may be constrained
@@ -433,13 +453,13 @@ def grip_kind(known: Placement, motion: Motion) -> tuple[MechanismKind, float, f
 
 
 def independent_rotation(motion: Motion) -> float:
-    """Return the RMS rotation of the hand by independent motions of the joints that are as large as these.
+    """Return the RMS rotation that the hand would make if each joint moved as much as recorded, but independently.
 
     Args:
-        motion: Contacts.
+        motion: Samples of the contacts.
 
     Returns:
-        Median of the contacts [deg].
+        Median over the contacts [deg].
     """
     turns = np.array([np.sum(motion.J[(p.start + p.stop) // 2, 3:] ** 2, axis=0) for p in motion.parts])
     spread = np.array([np.var(motion.x[p], axis=0) for p in motion.parts])
@@ -449,17 +469,20 @@ def independent_rotation(motion: Motion) -> float:
 def select_rows(
     features: FeatureMap, selection: np.ndarray, known: Placement | None, asked: Sequence[FeatureMap], q: np.ndarray
 ) -> tuple[FeatureMap, Float[np.ndarray, "k r"]]:
-    """Return the rows in the requested axes: combinations x Lambda with no share in other columns; else all rows.
+    """Select the constraint rows that lie in the requested axes.
+
+    They are combinations of the rows of Lambda without a component along other axes. If there are none, or if the axes
+    cannot be separated, all rows are returned.
 
     Args:
-        features: Phi of all rows that constrain the hand.
+        features: Feature map Phi of all rows that constrain the hand.
         selection: Their Lambda (s, p).
-        known: Mechanism, or None.
+        known: Mechanism of these rows; None if it is not known.
         asked: Requested feature maps.
-        q: Array (n, nq) of postures.
+        q: Recorded configurations (n, nq) [rad or m].
 
     Returns:
-        Phi and Lambda.
+        Feature map, and Lambda for it.
     """
     poses, names = [f for f in asked if isinstance(f, PoseRows)], {n for f in asked for n in f.row_names}
     if isinstance(features, MechanismRows) and known is not None and names == set(AXES[:3]):

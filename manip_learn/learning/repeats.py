@@ -42,9 +42,10 @@ class IndependentRecordings(NamedTuple):
 
     Attributes:
         demonstrations: Recordings to learn from.
-        origins: Pieces of each of them: number of the original recording, and the time that was added to its clock [s].
+        origins: For each recording in `demonstrations` its pieces: index of the original recording in `given`, and the
+            time that was added to its time stamps [s].
         given: The original recordings.
-        warnings: Repeated and joined recordings, in sentences.
+        warnings: Sentences about recordings that repeat others or were joined.
     """
 
     demonstrations: Demonstrations
@@ -54,8 +55,10 @@ class IndependentRecordings(NamedTuple):
 
     @staticmethod
     def of(recordings: Demonstrations) -> IndependentRecordings:
-        """Join pieces, keep the longest or first of recordings that repeat each other, and the first round of a
-        recording.
+        """Drop repeated motions and join pieces of one motion.
+
+        Of recordings that repeat each other, the longest (or else the first) is kept; of a recording that repeats
+        itself, the first round. Recordings that touch end to end are joined.
 
         Args:
             recordings: All recordings.
@@ -193,12 +196,14 @@ class _Path:
 
 
 def drop_duplicates(table: Table, stretches: Sequence[Stretch]) -> dict[Stretch, Trajectory]:
-    """Return the motion of each stretch from which rows are learnt, without repeats of another stretch of its
-    recording.
+    """Return the motions of stretches, without stretches that repeat another one of the same recording.
 
     Args:
-        table: Samples.
+        table: Samples of all recordings.
         stretches: Parts of recordings.
+
+    Returns:
+        Dictionary from each remaining stretch to its motion.
     """
     long = [(s, k - table.first[s.recording]) for s in stretches if len(k := table.samples(s)) > 2]
     pieces = {s: table.moved[s.recording].part(k) for s, k in long}

@@ -1,4 +1,4 @@
-"""Report on a constraint: its evidence, its stretches in the recordings, warnings, and its provenance."""
+"""Report on a learnt constraint: evidence, phases of the recordings, warnings, and provenance."""
 
 from __future__ import annotations
 
@@ -58,11 +58,11 @@ class _Phase(NamedTuple):
 
 
 class OddTrajectory(NamedTuple):
-    """A recording that does not agree with the others.
+    """Recording that does not agree with the others.
 
     Attributes:
-        trajectory: Its name.
-        reason: Difference, in numbers and units.
+        trajectory: Name of the recording.
+        reason: Difference from the others in words, with numbers and units.
     """
 
     trajectory: str
@@ -73,9 +73,9 @@ class RecordingOverview(NamedTuple):
     """Overview of the recordings, the same for every constraint.
 
     Attributes:
-        phases: All stretches that move.
+        phases: All stretches in which the arm moves, each with its constraint.
         odd_trajectories: Recordings that disagree with the others.
-        warnings: Doubts about the recordings.
+        warnings: Warnings about the recordings, in sentences.
     """
 
     phases: tuple[_Phase, ...] = ()
@@ -83,7 +83,7 @@ class RecordingOverview(NamedTuple):
     warnings: Sequence[str] = ()
 
     def sentences(self) -> tuple[str, ...]:
-        """Return the stretches of each constraint in words."""
+        """Return one sentence per constraint about the stretches in which it acts."""
         numbers = sorted({p.constraint for p in self.phases if p.constraint is not None})
         free = sum(p.constraint is None and not p.reason for p in self.phases)
         unlearnt = [p for p in self.phases if p.reason]
@@ -108,40 +108,44 @@ class LearningReport:
 
     Attributes:
         sentence: The result in words.
-        estimator: `"null-space"`, `"joint"` or `"separate"`.
+        estimator: `"null-space"`, `"joint"` or `"separate"`, see `ConstraintLearner`.
         kind: `"motion-constrained"` (b = 0: the world constrains the rows) or `"self-imposed"` (the demonstrator drives
             them).
         n_constraints: Number of rows s.
         row_names: Names of the feature rows.
-        reference: `"world"`, `"local"`, or None for features without a frame.
-        free_directions: Unit vectors of the directions that the constraint leaves free.
-        gap: Ratio that supports n_constraints; 10 and above is clear, below 3 is refused (joint estimator: about 1.5).
+        reference: Axes of the feature rows, `"world"` or `"local"`; None for features without a frame.
+        free_directions: Unit vectors (in the feature rows) of the directions that the constraint leaves free.
+        gap: Ratio of the motion along the next direction to the motion along the constrained ones. It supports
+            `n_constraints`: 10 and above is clear, below 3 is refused (joint estimator: below about 1.5).
         gap_table: Number of rows -> gap.
-        levels: Null-space and separate estimator: root mean square of the motion along each whitened direction, least
-            first, relative to a motion that is equally strong in all joints [1]. Empty for the joint estimator.
-        energy_fraction: Share of the energy of the motion that violates A u = 0.
-        held_out_residual: Square root of the unexplained share of the energy, on held-out trajectories.
-        uncertainty_deg: In 68 % of cases the row space is within this angle of the true one: the root of the sum of
-            the squares of the parts in `uncertainty`, or, of rows about an axis or a centre, the angle in the places of
-            the hand; None with a single trajectory or where there is only one possible row space. A rotated base
-            rotates all recordings equally, which none of them shows: it is not included.
+        levels: Root mean square of the motion along each whitened direction, smallest first, relative to a motion that
+            is equally strong in all joints. Empty for the joint estimator.
+        energy_fraction: Share of the motion energy, the sum of |u|^2, that violates A u = 0.
+        held_out_residual: Square root of the unexplained share of the motion energy on held-out trajectories.
+        uncertainty_deg: Angle between the learnt and the true row space that is not exceeded in 68 % of cases [deg]:
+            the root of the sum of squares of the parts in `uncertainty`; for rows about an axis or a centre, the angle
+            error of the rows at the recorded positions of the hand. None with a single trajectory, or if only one row
+            space is possible. An error of the base's orientation is not included, because it is the same in all
+            recordings.
         excitation: Joint name -> share of the energy of the motion.
-        policy_model: Joint estimator: grades of the null-space policy that the data determine, or the given model.
-        policy_residuals: Joint estimator: model -> held-out share of unexplained energy.
-        n_samples, n_trajectories: Numbers of samples and recordings of the constraint.
-        seconds: Time for the fit [s].
-        notes: Changes made to the recordings.
-        warnings: Doubts.
+        policy_model: Model of the null-space policy: terms that the data determine, or the requested model. None except
+            for the joint estimator.
+        policy_residuals: Policy model -> share of the motion energy that it leaves unexplained on held-out recordings;
+            empty except for the joint estimator.
+        n_samples, n_trajectories: Numbers of samples and recordings from which the constraint was learnt.
+        seconds: Computing time of the fit [s].
+        notes: Changes made to the recordings, in sentences.
+        warnings: Warnings about the result, in sentences.
         row_evidence: Evidence for each row, most firmly constrained first; empty if the demonstrator drives the rows.
-        evidence: The same in words.
-        phases: Stretches of the recordings, each with its constraint or free.
+        evidence: Evidence in words.
+        phases: Stretches of the recordings, each with its constraint, or free.
         odd_trajectories: Recordings that do not agree with the others, with the difference.
-        mechanism: Mechanism that constrains the hand, or None.
-        uncertainty: The parts of `uncertainty_deg` [deg]: `"noise"`, by encoder noise and the scatter between
-            recordings; `"joint zeros"`, by constant errors of the arm (null-space estimator); `"policy"`, by the part
-            of the policy that the data do not determine (joint estimator). None where a part does not apply.
-        mu_uncertainty: In 68 % of cases, at the demonstrated configurations, the manipulability of the true constraint
-            differs from the learnt one by no more than this share; None with a single trajectory.
+        mechanism: Mechanism that constrains the hand; None if it is not known.
+        uncertainty: Cause -> part of `uncertainty_deg` [deg]: `"noise"` for encoder noise and the scatter between
+            recordings; `"joint zeros"` for constant errors of the arm (null-space estimator); `"policy"` for the part
+            of the policy that the data do not determine (joint estimator). None for a part that does not apply.
+        mu_uncertainty: Relative error of the manipulability at the demonstrated configurations that is not exceeded in
+            68 % of cases; None with a single trajectory.
     """
 
     sentence: str
@@ -174,7 +178,7 @@ class LearningReport:
     mu_uncertainty: float | None = None
 
     def to_dict(self) -> dict[str, Any]:
-        """Return plain numbers, strings and lists for JSON; None in place of NaN."""
+        """Return all attributes as a dictionary of JSON values; NaN becomes None."""
         content = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
         return _plain(content | {"mechanism": self.mechanism and self.mechanism.to_dict(), "facts": self.facts()})
 
@@ -208,10 +212,10 @@ class LearningReport:
         )
 
     def facts(self) -> dict[str, str]:
-        """Return the evidence in words, each number with its scale.
+        """Return the evidence in words; each number is printed with its scale, e.g. which values are clear.
 
         Returns:
-            Name of a fact -> words.
+            Dictionary from the name of a fact to its text.
         """
         rank = f"{CLEAR_GAP:g} is clear" if self.gap >= CLEAR_GAP else f"weak: {CLEAR_GAP:g} is clear"
         residual, constrained = self.held_out_residual, [row for row in self.row_evidence if row.state == "held"]
@@ -234,13 +238,13 @@ class LearningReport:
         return {name: words for name, words in facts.items() if words}
 
     def known_to(self) -> str:
-        """Return the uncertainty of each quantity in words, as in the sentence; empty if none is known."""
+        """Return the uncertainty of each quantity as text, as in `sentence`; empty if none is known."""
         text = describe_uncertainty(self.uncertainty_deg, self.mechanism, self._is_told)
         mu = "" if self.mu_uncertainty is None else f", mu to {error_in_words(100.0 * self.mu_uncertainty, '%')}"
         return f"{text}{mu} (68 %, {parts_in_words(self.uncertainty, self.reference)})" if text else ""
 
     def mechanism_in_words(self) -> str:
-        """Return the mechanism in words, without its place if the sentence has it; empty without a mechanism."""
+        """Return the mechanism in words, without axis and point if `sentence` has them; empty if there is none."""
         m = self.mechanism
         return "" if m is None else f"{m.noun}; {m.turns}" if self._is_told else m.sentence
 
@@ -267,8 +271,8 @@ class Context(NamedTuple):
     """Data that all reports of a fit share.
 
     Attributes:
-        table, recordings: Samples, and their recordings.
-        settings: Settings of the learner.
+        table, recordings: Samples of all recordings, and the recordings.
+        settings: Arguments of the learner, by name.
         started: Reading of `time.perf_counter` when the fit began [s].
     """
 
@@ -279,14 +283,13 @@ class Context(NamedTuple):
 
 
 def parts_in_words(parts: Uncertainty, reference: str | None) -> str:
-    """Return the parts of an uncertainty in words, with the parts not included: `"noise 0.002 degrees; not included:
-    ..."`.
+    """Return the parts of an uncertainty as text, e.g. `"noise 0.002 degrees; not included: ..."`.
 
-    Rows in the axes of the tool (reference `"local"`) do not depend on the orientation of the base.
+    An error of the base's orientation is listed as not included, except for rows along the axes of the tool.
 
     Args:
-        parts: Source -> error [deg]; None for parts that are not known.
-        reference: Reference of the rows.
+        parts: Cause -> error [deg]; None for parts that are not known.
+        reference: Axes of the rows: `"world"`, `"local"` (the tool) or None.
     """
     included = [f"{name} {error_in_words(part, 'degrees')}" for name, part in parts.items() if part is not None]
     missing = ["joint zeros that are off"] if included and parts[JOINT_ZEROS] is None else []
@@ -299,11 +302,16 @@ Learnt = tuple[Constraint, Constraint, LearningReport]
 
 
 def make_reports(result: Answers, context: Context) -> list[Learnt]:
-    """Return the whole constraint of each answer, the constraint in the requested rows, and the report on the latter.
+    """Build the constraints and the report of each learnt answer.
 
     Args:
-        result: Answers.
+        result: Answers of the learner.
         context: Data that all reports share.
+
+    Returns:
+        For each answer: the constraint with all rows of the hand, the constraint in the requested rows, and the report
+            on
+        the latter.
     """
     recordings = context.recordings
     names, given_names = distinct_names(recordings.demonstrations), distinct_names(recordings.given)
@@ -401,10 +409,10 @@ def _report(answer: Answer, overview: RecordingOverview, context: Context, origi
 
 
 def checksum(trajectory: Trajectory) -> str:
-    """Return the SHA-256 of the file of a trajectory; the hash of its numbers if it was not read from a file.
+    """Return the SHA-256 of the file of a trajectory, or of its numbers if it was not read from a file.
 
     Args:
-        trajectory: Recording.
+        trajectory: The recording.
 
     Returns:
         64 hexadecimal digits.
@@ -415,7 +423,10 @@ def checksum(trajectory: Trajectory) -> str:
 
 @functools.cache
 def version() -> str:
-    """Return the version of the library, with the commit if known: `"0.1.0+d8918b7f"`, `-dirty` if changed since."""
+    """Return the version of the library, with the git commit if known, e.g. `"0.1.0+d8918b7f"`.
+
+    `-dirty` is appended if the working tree has uncommitted changes.
+    """
     package = next(iter(importlib.metadata.distributions(name="manip-learn")), None)  # None: a folder on the path
     number, source = ("unknown", None) if package is None else (package.version, package.read_text("direct_url.json"))
     commit = json.loads(source or "{}").get("vcs_info", {}).get("commit_id", "")[:8]

@@ -1,9 +1,10 @@
-"""Search for a few hypotheses that, with free motion, explain the recordings: rows that are zero in some samples.
+"""Segment recordings into contacts and free motion: search for a few sets of rows that are zero in some of the samples.
 
-Candidates are the rows that windows, recordings, pairs of either, and all samples use least (one generalised
-eigenproblem each). Each is fitted to the samples that it explains, in turns with Viterbi's sequence of states. The best
-candidate that a gate accepts is added, and all compete again. They are compared by log-likelihood [nats]. An infinite
-switching cost is the case of recordings cut to the contact.
+Such a set of rows is a hypothesis (a constraint). Candidates are the directions with the least motion in windows,
+recordings, pairs of these, and all samples (one generalised eigenproblem each). Each candidate is fitted to the samples
+that it explains, in turns with the most likely sequence of states (Viterbi's algorithm). The best candidate that a gate
+accepts is added, and all samples are assigned again. Hypotheses are compared by log-likelihood [nats]. An infinite
+switching cost is for recordings that were cut to the contact.
 """
 
 from __future__ import annotations
@@ -29,13 +30,14 @@ Scale = tuple[float, float]
 
 @dataclass(frozen=True, eq=False)
 class Hypothesis:
-    """Rows that are zero in some samples.
+    """Candidate constraint: rows that are zero in some of the samples.
 
     Attributes:
-        view: Number of the view.
-        rows: Array (s, r), whitened and orthonormal.
-        scale: Allowed residual: multiple of the noise, and share of the free velocity (standard deviations).
-        gains: Gain of each recording over the other hypotheses [nats].
+        view: Index of the view (feature map) of the rows.
+        rows: Whitened orthonormal rows (s, r).
+        scale: Standard deviation of the velocity along the rows that still counts as zero, as two numbers: multiple of
+            the noise, and share of the velocity of free motion.
+        gains: Log-likelihood that the hypothesis adds to the other hypotheses, for each recording [nats].
     """
 
     view: int
@@ -45,11 +47,11 @@ class Hypothesis:
 
     @property
     def support(self) -> float:
-        """Gain without the recording that gains most [nats]."""
+        """Sum of `gains` without the largest one, so that one recording alone gives no support [nats]."""
         return float(self.gains.sum() - (self.gains.max() if len(self.gains) > 1 else 0.0))
 
     def price(self, seconds: float) -> float:
-        """Return the price of the free parameters (Schwarz, 1978) [nats].
+        """Return the penalty for the free parameters, from the information criterion of Schwarz (1978) [nats].
 
         Args:
             seconds: Total duration of the recordings [s].
@@ -59,14 +61,14 @@ class Hypothesis:
 
 
 def broken_energy(m: Samples, rows: np.ndarray) -> np.ndarray:
-    """Return the energy u^T A^+ A u of each sample that violates hypotheses, by Cholesky's recursion.
+    """Return the motion energy u^T A^+ A u of each sample that violates each hypothesis.
 
     Args:
-        m: n samples.
-        rows: Array (h, s, r), rows of h hypotheses.
+        m: Samples, n of them.
+        rows: Rows of h hypotheses, shape (h, s, r).
 
     Returns:
-        Array (n, h) [(rad/s)^2].
+        Energies (n, h) [(rad/s)^2].
     """
     h, s, r = rows.shape
     flat, L, y = m.gram.reshape(-1, r * r), dict[tuple[int, int], np.ndarray](), list[np.ndarray]()
@@ -84,16 +86,17 @@ def broken_energy(m: Samples, rows: np.ndarray) -> np.ndarray:
 
 
 def evidence(m: Samples, rows: np.ndarray, scales: Sequence[Scale]) -> np.ndarray:
-    """Return the evidence of each sample: log-likelihood with constrained rows less log-likelihood with free rows
-    [nats].
+    """Return the evidence of each sample for each hypothesis.
+
+    It is the log-likelihood with constrained rows minus the log-likelihood with free rows.
 
     Args:
-        m: n samples.
-        rows: Array (h, s, r), rows of h hypotheses.
-        scales: k scales, see `Hypothesis`.
+        m: Samples, n of them.
+        rows: Rows of h hypotheses, shape (h, s, r).
+        scales: Allowed residuals, k of them, see `Hypothesis.scale`.
 
     Returns:
-        Array (n, h, k).
+        Evidence (n, h, k) [nats], positive for a constraint.
     """
     outliers = 2.0 * SLIGHT  # share of held samples that may be far off: bounds the evidence against them
     energy, (steady, share) = broken_energy(m, rows), np.array(scales).T ** 2
@@ -109,16 +112,19 @@ def evidence(m: Samples, rows: np.ndarray, scales: Sequence[Scale]) -> np.ndarra
 
 
 def viterbi(values: np.ndarray, first: np.ndarray, switch: float, path: bool = True) -> tuple[np.ndarray, np.ndarray]:
-    """Return the most likely states of many problems at once; or one state throughout, as in a cut recording.
+    """Find the most likely sequence of states (free motion, or one of k constraints) by Viterbi's algorithm.
+
+    Several independent problems are solved at once.
 
     Args:
-        values: Array (n, h, k), evidence of each sample for k constraints over free motion, for h problems [nats].
-        first: Array (g + 1,), first sample of each recording, and n.
-        switch: Switching cost [nats]; infinite: one state for each recording.
-        path: False if only the gains are needed.
+        values: Evidence of n samples for k constraints over free motion, for h problems, shape (n, h, k) [nats].
+        first: Index of the first sample of each of g recordings, and n, shape (g + 1,).
+        switch: Cost of a change of state [nats]; infinite for one state per recording.
+        path: False to compute only the gains.
 
     Returns:
-        States (n, h), 0 for free motion, and gains of the recordings (g, h) [nats].
+        States (n, h), 0 for free motion and 1 to k for the constraints, and the gains over free motion of the
+        recordings (g, h) [nats].
     """
     lengths, half = np.diff(first), 0.5 * switch  # into or out of a constraint costs half a change
     alone = np.insert(np.add.reduceat(values, first[:-1], axis=0), 0, 0.0, axis=2)
@@ -152,15 +158,17 @@ def viterbi(values: np.ndarray, first: np.ndarray, switch: float, path: bool = T
 
 
 def least_used(M: np.ndarray, S: np.ndarray, noise: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the directions that motion uses least: the eigenvectors of M x = e S x for each of w windows.
+    """Return directions in the order of the motion along them, least first, for each of w windows.
+
+    They are the eigenvectors x of M x = e S x.
 
     Args:
-        M: Array (w, r, r), sums of r r^T of the rates r = Phi u.
-        S: Array (w, r, r), sums of Phi Phi^T.
-        noise: Array (w,), smallest level squared.
+        M: Sum of y y^T with the velocities y = Phi u, for each window, shape (w, r, r).
+        S: Sum of Phi Phi^T, for each window, shape (w, r, r).
+        noise: Smallest value of e, for each window, shape (w,).
 
     Returns:
-        Levels sqrt(e), smallest first, an array (w, r); and the directions as rows, an array (w, r, r).
+        Size sqrt(e) of the motion along each direction, shape (w, r), and the directions as rows, shape (w, r, r).
     """
     r = M.shape[1]
     floor = np.maximum(1e-9 * np.trace(S, axis1=1, axis2=2)[:, None, None] / r, 1e-200) * np.eye(r)
@@ -170,10 +178,10 @@ def least_used(M: np.ndarray, S: np.ndarray, noise: np.ndarray) -> tuple[np.ndar
 
 
 def distinct_rows(rows: np.ndarray, most: int | None = None) -> list[int]:
-    """Return the numbers of the first rows with different row spaces.
+    """Return the indices of sets of rows whose row spaces differ from all earlier returned ones.
 
     Args:
-        rows: Array (h, s, r) of h sets of orthonormal rows.
+        rows: Sets of orthonormal rows (h, s, r).
         most: Largest number of results; None for all.
     """
     h, s, r = rows.shape
@@ -186,17 +194,18 @@ def distinct_rows(rows: np.ndarray, most: int | None = None) -> list[int]:
 
 
 def propose_rows(m: Samples, states: np.ndarray, largest: int, whole: bool) -> list[np.ndarray]:
-    """Return candidate rows: the least used rows in windows of free motion, and in recordings, pairs and all samples of
-    each state.
+    """Propose candidate rows: the directions with the least motion in parts of the samples.
+
+    The parts are windows of free motion, and the recordings, pairs of recordings, and all samples of each state.
 
     Args:
-        m: n samples.
-        states: Array (n,), current state of each sample; 0 is free motion.
-        largest: Largest number of rows.
-        whole: True if each recording is one stretch: windows are left out.
+        m: Samples, n of them.
+        states: Current state of each sample, shape (n,); 0 is free motion.
+        largest: Largest number of rows of a candidate.
+        whole: True if each recording is one stretch, so that windows are not used.
 
     Returns:
-        Candidates for each number of rows s from 1 on, an array (h, s, r) each.
+        For each number of rows s = 1, 2, ...: h candidates (h, s, r).
     """
     # largest number of proposals from windows, and from pairs of them, for each number of rows
     max_windows = 40
@@ -251,9 +260,14 @@ def propose_rows(m: Samples, states: np.ndarray, largest: int, whole: bool) -> l
 
 
 class Explanation:
-    """Hypotheses that together explain the recordings, with the state of each sample.
+    """Hypotheses (constraints) that together explain the recordings, with the state of each sample.
 
-    The gain of each hypothesis is its gain over the others.
+    The gain of each hypothesis is the log-likelihood that it adds to the other ones.
+
+    Args:
+        views: All views of the recordings (samples in different feature maps).
+        hypotheses: The hypotheses.
+        switch: Cost of a change of state [nats].
     """
 
     def __init__(self, views: Sequence[View], hypotheses: Sequence[Hypothesis], switch: float):
@@ -270,13 +284,14 @@ class Explanation:
         self.supports = np.array([h.support for h in self.hypotheses])
 
     def evaluate(self, samples: Sequence[Samples]) -> tuple[np.ndarray, np.ndarray]:
-        """Return the evidence of samples for free motion and all hypotheses, and the most likely states.
+        """Compute the evidence of samples for each hypothesis, and their most likely states.
 
         Args:
-            samples: n samples, in each view.
+            samples: The same n samples in each view.
 
         Returns:
-            Array (n, 1 + h) [nats], and array (n,) of states: 0 for free motion, k + 1 for hypothesis k.
+            Evidence (n, 1 + h) [nats], with zeros in the first column for free motion; and states (n,), 0 for free
+            motion and k + 1 for hypothesis k.
         """
         free = np.zeros(len(samples[0].time))
         each = (evidence(samples[h.view], h.rows[None], [h.scale])[:, 0, 0] for h in self.hypotheses)
@@ -291,11 +306,14 @@ class Explanation:
         return Explanation(self.views, others, self.switch)
 
     def refit(self, k: int, start: Hypothesis) -> Hypothesis:
-        """Return a hypothesis fitted to the samples of the k-th one, against the others.
+        """Fit a hypothesis to the samples that hypothesis k explains.
 
         Args:
-            k: Number of the hypothesis that is replaced.
-            start: Hypothesis with the rows from which the fit begins.
+            k: Index of the hypothesis whose samples are used.
+            start: Hypothesis with the initial rows.
+
+        Returns:
+            The fitted hypothesis.
         """
         own_samples = self.states == k + 1
         baseline = np.where((self.states > 0) & ~own_samples, self.others[k], 0.0)
@@ -317,7 +335,7 @@ class Explanation:
         return best
 
     def has_duplicates(self) -> bool:
-        """Return True if two hypotheses differ by less than their own scales."""
+        """Return True if the row spaces of two hypotheses differ by less than their allowed residuals."""
         for a, b in combinations(self.hypotheses, 2):
             if a.view == b.view and len(a.rows) == len(b.rows):
                 v = self.views[a.view]
@@ -326,11 +344,16 @@ class Explanation:
         return False
 
     def stretches(self, k: int, fine: np.ndarray | None = None) -> list[Stretch]:
-        """Return the stretches of state k, from the first to the last moving sample, or to ends of the recording.
+        """Return the stretches of a state, each from its first to its last moving sample.
+
+        A contact at the beginning or end of a recording is extended to the end of the recording.
 
         Args:
-            k: Number of the state; 0 is free motion.
-            fine: State of each sample of the whole table; None for the states of the samples of the search.
+            k: State: 0 for free motion, i + 1 for hypothesis i.
+            fine: State of each sample of the whole table; None for the states of the thinned samples of the search.
+
+        Returns:
+            The stretches in order.
         """
         view, out = self.views[0], list[Stretch]()
         m, states = (view.thin, self.states) if fine is None else (view.all, fine)
@@ -354,17 +377,17 @@ class Explanation:
 def score_hypotheses(
     views: Sequence[View], trials: Sequence[Hypothesis], scales: Sequence[Scale], baseline: np.ndarray, switch: float
 ) -> np.ndarray:
-    """Return the gain of each recording over the baseline by each hypothesis at each scale.
+    """Compute the log-likelihood that each hypothesis adds to a baseline, for each recording and allowed residual.
 
     Args:
         views: All views.
-        trials: h hypotheses.
-        scales: k scales, see `Hypothesis`.
-        baseline: Array (n,), evidence of each sample without them [nats].
-        switch: Switching cost [nats].
+        trials: Hypotheses, h of them.
+        scales: Allowed residuals, k of them, see `Hypothesis.scale`.
+        baseline: Evidence of each sample without these hypotheses, shape (n,) [nats].
+        switch: Cost of a change of state [nats].
 
     Returns:
-        Array (g, h, k) for g recordings [nats].
+        Gains (g, h, k) for g recordings [nats].
     """
     max_numbers = 1_000_000  # largest number of values in memory together
     n, first = len(baseline), views[0].thin.first
@@ -383,17 +406,17 @@ def score_hypotheses(
 def fit_hypotheses(
     views: Sequence[View], hypotheses: Sequence[Hypothesis], mask: np.ndarray, baseline: np.ndarray, switch: float
 ) -> list[Hypothesis]:
-    """Fit each hypothesis to its samples: take the rows that they use least, at the scale with the largest gain.
+    """Fit each hypothesis to its samples: choose the rows with the least motion, and the best allowed residual.
 
     Args:
         views: All views.
-        hypotheses: h hypotheses; those with too few moving samples keep their rows.
-        mask: Array (n, h), True for samples of the hypothesis.
-        baseline: Array (n,), evidence of each sample without them [nats].
-        switch: Switching cost [nats].
+        hypotheses: Hypotheses, h of them. A hypothesis with too few moving samples keeps its rows.
+        mask: shape (n, h), True for the samples of each hypothesis.
+        baseline: Evidence of each sample without these hypotheses, shape (n,) [nats].
+        switch: Cost of a change of state [nats].
 
     Returns:
-        Fitted hypotheses, with their gains over the baseline.
+        Fitted hypotheses; their `gains` are relative to the baseline.
     """
     out = list[Hypothesis]()
     for h, samples in zip(hypotheses, mask.T, strict=True):
@@ -409,11 +432,14 @@ def fit_hypotheses(
 
 
 def candidates(now: Explanation, allowed: Sequence[int]) -> list[Hypothesis]:
-    """Return the fitted candidates that gain most over an explanation, a few for each view and number of rows.
+    """Propose and fit candidates that could extend an explanation, a few for each view and number of rows.
 
     Args:
         now: Explanation to extend.
-        allowed: Numbers of the views to search.
+        allowed: Indices of the views to search.
+
+    Returns:
+        The fitted candidates, not sorted; their `gains` are relative to the explanation.
     """
     most = 4  # largest number of candidates for each view and number of rows
     views, baseline, switch, best = now.views, now.explained, now.switch, list[Hypothesis]()
@@ -449,13 +475,13 @@ Test = Callable[[View, Hypothesis, Sequence[Stretch]], bool]
 
 
 def add_hypotheses(now: Explanation, believed: Test, refused: list[Hypothesis], allowed: Sequence[int]) -> Explanation:
-    """Add accepted hypotheses from the allowed views, one at a time.
+    """Add hypotheses that gain enough and that a gate accepts, one at a time.
 
     Args:
         now: Explanation to extend.
-        believed: Gate: function of a view, a hypothesis and its stretches.
-        refused: Hypotheses that were refused; the refused ones of this call are appended.
-        allowed: Numbers of the views to search.
+        believed: Gate: function that takes a view, a hypothesis and its stretches, and returns True to accept it.
+        refused: Rejected hypotheses, which are not tried again; hypotheses that this call rejects are appended.
+        allowed: Indices of the views to search.
 
     Returns:
         Explanation with the accepted hypotheses.
@@ -492,13 +518,14 @@ def add_hypotheses(now: Explanation, believed: Test, refused: list[Hypothesis], 
 
 
 def explain(views: Sequence[View], believed: Test, switch: float, first: int = 0) -> Explanation:
-    """Add one hypothesis after the other, as long as one gains enough and the gate accepts it.
+    """Explain the recordings by hypotheses: add one after the other, as long as one gains enough and a gate accepts it.
 
     Args:
-        views: All views.
-        believed: Gate: function of a view, a hypothesis and its stretches.
-        switch: Switching cost [nats].
-        first: Number of views of the position of the hand; the others are searched if these explain little motion.
+        views: All views of the recordings.
+        believed: Gate: function that takes a view, a hypothesis and its stretches, and returns True to accept it.
+        switch: Cost of a change between contact and free motion [nats].
+        first: Number of views, the first ones, that are of the hand's position; the other views are searched only if
+            these explain little of the motion.
 
     Returns:
         Explanation of the recordings.
@@ -529,14 +556,17 @@ def explain(views: Sequence[View], believed: Test, switch: float, first: int = 0
 def lone_contacts(
     explanation: Explanation, places: Sequence[int], supported: Callable[[View, Stretch], int]
 ) -> list[Stretch]:
-    """Return further stretches in which rows are firmly constrained in one recording alone.
+    """Find contacts that appear in one recording only.
 
-    They are reported, so that they can be recorded again, and not learnt.
+    They are reported, so that the user can record them again; nothing is learnt from them.
 
     Args:
         explanation: Explanation of all recordings.
-        places: Numbers of the views of the position of the hand.
-        supported: Function of a view and a stretch that returns the number of rows with evidence.
+        places: Indices of the views that are of the hand's position.
+        supported: Function that takes a view and a stretch, and returns the number of rows with evidence.
+
+    Returns:
+        Stretches of these contacts.
     """
     out = list[Stretch]()
     for i, moved in enumerate(explanation.views[0].table.moved):

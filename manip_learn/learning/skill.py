@@ -1,4 +1,4 @@
-"""Skill from constraints: their order in the recordings, the grasps and the end."""
+"""Build a skill from learnt constraints: their order in the recordings, the grasps and the final position."""
 
 from __future__ import annotations
 
@@ -26,16 +26,15 @@ class _Contact(NamedTuple):
 
 
 def build_skill(constraints: Sequence[Constraint], result: Answers, table: Table) -> Skill:
-    """Build the skill: the constraints in the order in which most recordings show them, each with its demonstrated
-    motion.
+    """Build the skill from learnt constraints, in the order in which most recordings show them.
 
     Args:
         constraints: Constraint of each answer, with all its rows.
-        result: Answers, with their stretches.
-        table: Samples.
+        result: Answers of the learner, with their stretches.
+        table: Samples of all recordings.
 
     Returns:
-        Skill; without steps if the answers have no stretches.
+        Skill, each step with its demonstrated motion; without steps if the answers have no stretches.
     """
     retreat = 0.02  # [m] smallest motion after the last contact that is a retreat, not only a release
     numbered = [(number, stretch) for number, answer in enumerate(result.answers) for stretch in answer.stretches]

@@ -1,4 +1,4 @@
-"""Table of the samples of all recordings, and views of it in feature maps; the even choice of samples of large sets."""
+"""Samples of all recordings in one table, views of it in feature maps, and the subsampling of large data sets."""
 
 from __future__ import annotations
 
@@ -70,13 +70,13 @@ EstimatorName = Literal["auto", "joint", "null-space", "separate"]
 
 @dataclass(frozen=True)
 class ArmErrors:
-    """Prior standard deviations of the errors of an arm.
+    """Prior standard deviations of the calibration errors of an arm.
 
     Attributes:
-        zeros: Standard deviation of each joint offset [rad, m for sliding joints]. With 0, errors that no residual
-            shows are taken for zero, also link errors.
-        links: Standard deviation of the position [m] and orientation [rad], along each axis, of each joint after the
-            first in the frame of the previous link, and of the frame in the frame of the last link.
+        zeros: Standard deviation of each joint offset [rad, m for prismatic joints]. With 0, joint and link errors are
+            assumed to be zero unless residuals show them.
+        links: Standard deviation, along each axis, of the position [m] and orientation [rad] of each joint (after the
+            first) in the frame of the previous link, and of the hand in the frame of the last link.
     """
 
     zeros: float = 0.0
@@ -85,7 +85,17 @@ class ArmErrors:
 
 @dataclass(frozen=True)
 class Settings:
-    """Settings of a fit; see the arguments of `ConstraintLearner`."""
+    """Settings of a fit, from the arguments of `ConstraintLearner`.
+
+    Attributes:
+        n_constraints, estimator, policy_model, phases, mechanism, strength, seed: Arguments of the same names; `phases`
+            and `mechanism` are True for `"auto"`.
+        switch: Argument `switching_cost` [nats].
+        habits: Argument `keep_habits`.
+        arm: Arguments `joint_offset_std` and `link_error_std`.
+        by_rates: True to fit held rows to velocities instead of positions.
+        asked: Requested feature maps, the argument `features`.
+    """
 
     n_constraints: int | None = None
     estimator: EstimatorName = "auto"
@@ -102,7 +112,12 @@ class Settings:
 
 
 class Stretch(NamedTuple):
-    """A part of a recording, on its own clock [s]."""
+    """Part of a recording.
+
+    Attributes:
+        recording: Index of the recording.
+        start, end: First and last time, on the time axis of the recording [s].
+    """
 
     recording: int
     start: float
@@ -110,16 +125,20 @@ class Stretch(NamedTuple):
 
 
 class Hand:
-    """Samples of a table as positions of the joints of a robot, with its hand: the frame of some features.
+    """Joint positions of all samples, with pose and Jacobian of the hand (the frame of some features) at each.
 
-    Features of one frame are products of weights, which depend on its pose, and its Jacobian: both are evaluated once
-    for all of them.
+    All features of one frame are products of weights, which depend on its pose, and of its Jacobian. Pose and Jacobian
+    are computed once for all of them.
+
+    Args:
+        features: Features of the hand.
+        table: Samples of all recordings.
 
     Attributes:
         of: Feature map of the whole twist of the frame; None for features without a frame.
-        x, step: Arrays (n, nv) of positions without jumps, and tangent vectors to the next sample of the recording;
-            zero at its last sample [rad or m].
-        poses, J: Arrays (n, 4, 4) and (n, 6, nv), pose and Jacobian of the frame at all samples; None without a frame.
+        x: Joint positions (n, nv), continuous joints unwrapped [rad or m].
+        step: Tangent vectors (n, nv) to the next sample of the recording, zero at its last sample [rad or m].
+        poses, J: Poses (n, 4, 4) [m] and Jacobians (n, 6, nv) of the frame; None without a frame.
     """
 
     poses: Any
@@ -135,20 +154,20 @@ class Hand:
 
     @cached_property
     def between(self) -> Hand:
-        """Half way to the next sample of each recording."""
+        """The same for configurations half way between each sample and the next one of its recording."""
         out, goes_on = copy.copy(self), np.any(self.step != 0.0, axis=1)[:-1, None]
         out.x = np.append(np.where(goes_on, 0.5 * (self.x[1:] + self.x[:-1]), self.x[:-1]), self.x[-1:], axis=0)
         out.poses, out.J = (None, None) if self.of is None else (self.of.poses(out.x), self.of.batch(out.x))
         return out
 
     def rows(self, features: Any) -> np.ndarray:
-        """Return Phi of features of this hand at all samples.
+        """Evaluate features of this hand at all samples.
 
         Args:
-            features: Feature map of the same robot and frame.
+            features: Feature map Phi of the same robot and frame.
 
         Returns:
-            Array (n, p, nv).
+            Phi, shape (n, p, nv).
         """
         return features.batch(self.x) if self.of is None else features.weights_at(self.poses) @ self.J
 
@@ -158,13 +177,14 @@ class Table:
 
     Attributes:
         moved: Recordings, with velocities.
-        time, q, u: shape (n,), (n, nq) and (n, nv).
-        first: shape (g + 1,), first sample of each of g recordings, and n.
-        recording: shape (n,), number of the recording.
-        noises, noise: Variance of the noise of velocities of each recording, and of each sample [(rad/s)^2].
-        weight: shape (n,), time that each sample represents [s].
-        thin, step: Evenly spaced samples that are enough for the search, and their distance.
-        ends: shape (g, 2), first and last time of each recording [s].
+        time, q, u: Time (n,) [s], configuration (n, nq) [rad or m], velocity (n, nv) [rad/s or m/s] of each sample.
+        first: Index of the first sample of each of g recordings, and n, shape (g + 1,).
+        recording: Index of the recording of each sample, shape (n,).
+        noises, noise: Variance of the velocity noise of each recording (g,), and of each sample (n,) [(rad/s)^2].
+        weight: Time that each sample represents, shape (n,) [s].
+        seconds: Sum of `weight` [s].
+        thin, step: Indices of evenly spaced samples, enough for the search, and the number of samples between them.
+        ends: First and last time of each recording, shape (g, 2) [s].
         wholes: Each recording as one stretch.
     """
 
@@ -186,14 +206,13 @@ class Table:
         self._hands: dict[str, Hand] = {}
 
     def hand(self, features: FeatureMap) -> Hand:
-        """Return the samples of the robot and the frame of some features, evaluated once.
+        """Return poses and Jacobians of the frame of some features at all samples; they are computed once and stored.
 
         Args:
             features: Feature map.
 
         Returns:
-            Samples with the poses and Jacobians of the frame of the features, shared by all features of this robot and
-            frame.
+            Poses and Jacobians, the same object for all features of this robot and frame.
         """
         twist = features.twist
         key = f"{id(features.robot)}" if twist is None else f"{id(features.robot)} {twist.describe()}"
@@ -206,8 +225,8 @@ class Table:
 
         Args:
             stretches: Parts of recordings.
-            learnt_from: True to leave out the first and last tenth of a second of each stretch, which belong to a
-                transition, except at the ends of a recording.
+            learnt_from: True to leave out the first and last tenth of a second of each stretch (a transition between
+                contact and free motion), except at the ends of a recording.
 
         Returns:
             Boolean array (n,).
@@ -220,7 +239,7 @@ class Table:
         return out
 
     def samples(self, s: Stretch) -> np.ndarray:
-        """Return the numbers of the samples of a stretch from which rows are learnt.
+        """Return the indices of the samples of a stretch, without its transitions (see `inside`).
 
         Args:
             s: Part of a recording.
@@ -229,14 +248,15 @@ class Table:
 
 
 def excitation(names: Sequence[str], u: np.ndarray) -> tuple[dict[str, float], list[str]]:
-    """Return the share of each joint in the energy of the motion, and the joints that hardly move, if others do.
+    """Compute the share of each joint in the motion energy (the sum of u^2), and find joints that hardly move.
 
     Args:
         names: Names of the joints.
         u: Array (n, nv) of joint velocities [rad/s or m/s].
 
     Returns:
-        Joint name -> share of the energy; and the names of joints with less than a millionth of it, unless all have.
+        Joint name -> share of the energy, and the names of joints with less than a millionth of it. No names are listed
+        if all joints hardly move.
     """
     energy = np.sum(u**2, axis=0)
     shares = dict(zip(names, (energy / max(float(energy.sum()), np.finfo(np.float64).tiny)).tolist(), strict=True))
@@ -245,13 +265,14 @@ def excitation(names: Sequence[str], u: np.ndarray) -> tuple[dict[str, float], l
 
 
 def velocity_noise(time: np.ndarray, u: np.ndarray) -> float:
-    """Return the variance of the noise of joint velocities.
+    """Estimate the variance of the noise of joint velocities.
 
-    It is the smaller of two residuals: of cubics in short windows, and of the four strongest directions of the joints.
+    It is the smaller of two residuals: of cubic polynomials fitted to short windows, and of the four strongest
+    principal components of the joints.
 
     Args:
-        time: Array (T,) of times [s].
-        u: Array (T, nv) of joint velocities [rad/s or m/s].
+        time: Times (T,) [s].
+        u: Joint velocities (T, nv) [rad/s or m/s].
 
     Returns:
         Variance [(rad/s)^2].
@@ -272,17 +293,17 @@ def velocity_noise(time: np.ndarray, u: np.ndarray) -> float:
 
 
 class Samples(NamedTuple):
-    """Samples in whitened rows, by which hypotheses are judged.
+    """Quantities at n samples, in whitened rows, from which the likelihood of hypotheses is computed.
 
     Attributes:
-        rates: shape (n, r), rates r = Phi u.
-        gram: shape (n, r, r), Phi Phi^T.
-        free: shape (n,), energy of u in one row if the joints moved independently [(rad/s)^2].
-        noise: shape (n,), variance of the noise of velocities [(rad/s)^2].
-        weight: shape (n,), time that each sample represents [s].
-        time: shape (n,), on the clock of each recording [s].
-        first: shape (g + 1,), first sample of each of g recordings, and n.
-        recording: shape (n,), number of the recording.
+        rates: Velocities Phi u along the whitened rows, shape (n, r).
+        gram: Phi Phi^T, shape (n, r, r).
+        free: Energy of u along one row if the joints moved independently, shape (n,) [(rad/s)^2].
+        noise: Variance of the velocity noise, shape (n,) [(rad/s)^2].
+        weight: Time that each sample represents, shape (n,) [s].
+        time: Time on the time axis of each recording, shape (n,) [s].
+        first: Index of the first sample of each of g recordings, and n, shape (g + 1,).
+        recording: Index of the recording, shape (n,).
         moving: shape (n,), True for samples that move beyond the noise.
     """
 
@@ -297,22 +318,28 @@ class Samples(NamedTuple):
     moving: np.ndarray
 
     def at(self, k: np.ndarray, first: np.ndarray, **other: np.ndarray) -> Samples:
-        """Return some of the samples.
+        """Select some of the samples.
 
         Args:
-            k: Numbers of the samples.
-            first: Array (g + 1,), first of these samples in each of g recordings, and their number.
-            **other: Fields that replace the selected ones.
+            k: Indices of the samples.
+            first: Field `first` of the result, shape (g + 1,).
+            **other: Other fields of the result, instead of the selected values.
+
+        Returns:
+            The selected samples.
         """
         return Samples(**{n: x[k] for n, x in self._asdict().items() if n != "first"} | {"first": first} | other)
 
 
 def whitening(Phi: np.ndarray, units: Sequence[str]) -> np.ndarray:
-    """Return the matrix W (r, p) with W S W^T = I of the mean S of Phi Phi^T, without rows that hardly move.
+    """Return the matrix W that whitens features: the mean of (W Phi) (W Phi)^T over all samples is the identity.
 
     Args:
-        Phi: Array (n, p, nv) of features.
-        units: Unit of each row; rows are compared with others of their unit.
+        Phi: Features (n, p, nv).
+        units: Unit of each row. A row that hardly moves compared with rows of the same unit is left out.
+
+    Returns:
+        W (r, p), where r is the rank of the remaining rows.
     """
     S = np.einsum("npv,nqv->pq", Phi, Phi, optimize=True) / len(Phi)
     size, names = np.sqrt(np.diag(S)), np.array(units)
@@ -321,17 +348,23 @@ def whitening(Phi: np.ndarray, units: Sequence[str]) -> np.ndarray:
 
 
 class View:
-    """Table in one feature map, whitened so that sum Phi Phi^T / n = I.
+    """Samples of a table in one feature map, whitened so that the mean of Phi Phi^T is the identity.
+
+    Args:
+        features: Feature map Phi with p rows.
+        table: Samples of all recordings.
 
     Attributes:
-        features, table: Feature map and table.
-        hand: Samples of its robot and frame.
+        features, table: The arguments.
+        hand: Poses and Jacobians of the frame of the features.
         W: Whitening matrix (r, p); r is 0 if the frame does not move.
-        Phi: Array (n, r, nv), whitened features of all samples.
-        largest: Largest number of rows that leave a null space.
-        all, thin: All samples, and evenly spaced ones for the search.
-        tried: Number of hypotheses, of all views, among which one of this view is selected.
-        turns, curved: True if a row is a rotation; True if surfaces of second order are constant rows.
+        r: Number of whitened rows.
+        Phi: Whitened features of all samples, shape (n, r, nv).
+        largest: Largest number of constraint rows that leaves a null space.
+        all, thin: Quantities at all samples, and at evenly spaced ones for the search.
+        tried: Number of hypotheses, of all views together, among which a hypothesis of this view is selected.
+        turns: True if one of the rows is an angular velocity.
+        curved: True for features of the form `"surface"`, see `PlaceRows`.
     """
 
     def __init__(self, features: FeatureMap, table: Table):
@@ -357,16 +390,16 @@ class View:
 
     @cached_property
     def y(self) -> np.ndarray:
-        """Displacements along the whitened rows, dy = Phi dq along the positions of each recording, shape (n, r)."""
+        """Displacements along the whitened rows, the integral of Phi dq over the recorded positions, shape (n, r)."""
         rates = np.einsum("npv,nv->np", self.hand.between.rows(self.features), self.hand.step)
         return np.insert(np.cumsum(rates[:-1], axis=0), 0, 0.0, axis=0) @ self.W.T
 
     def for_recording(self, i: int, alone: Table) -> View:
-        """Return the view of one recording alone, with the whitening matrix of all recordings.
+        """Return the view of a single recording, with the whitening matrix of all recordings.
 
         Args:
-            i: Number of the recording.
-            alone: Table of this recording.
+            i: Index of the recording.
+            alone: Table with this recording only.
         """
         out, each = copy.copy(self), [(m, np.arange(*m.first[i : i + 2])) for m in (self.all, self.thin)]
         out.all, out.thin = (m.at(k, np.array([0, len(k)]), recording=0 * k) for m, k in each)
@@ -374,26 +407,26 @@ class View:
         return out
 
     def way(self, inside: np.ndarray, rows: np.ndarray) -> np.ndarray:
-        """Return the integral of the velocities along whitened rows over some samples.
+        """Integrate the velocities along whitened rows over some samples.
 
         Args:
-            inside: Boolean mask (n,) with k selected samples.
-            rows: Array (s, r) of whitened rows.
+            inside: Boolean mask (n,) that selects k samples.
+            rows: Whitened rows (s, r).
 
         Returns:
-            Array (k, s) of displacements.
+            Displacements (k, s) from before the first selected sample.
         """
         return np.cumsum(self.all.rates[inside] * self.all.weight[inside, None], axis=0) @ rows.T
 
     def steady_stretches(self, rows: np.ndarray, stretches: Sequence[Stretch]) -> list[Stretch]:
-        """Return the stretches that rest along the rows as most do; in the others the hand slips.
+        """Return the stretches in which the motion along constrained rows is not unusually large, as by a slip.
 
         Args:
-            rows: Array (s, r) of whitened rows.
+            rows: Whitened rows (s, r) that should be constrained.
             stretches: Stretches to compare.
 
         Returns:
-            All stretches if no more than half of them rest.
+            The steady stretches; all stretches if at most half of them are steady.
         """
         m, moved, noise = self.all, [], []
         for inside in (self.table.inside([x]) for x in stretches):
@@ -405,12 +438,12 @@ class View:
         return steady if 2 * len(steady) > len(stretches) else list(stretches)
 
     def trim(self, rows: np.ndarray, s: Stretch) -> Stretch:
-        """Return the stretch without ends that have moved along the rows further than its inner part.
+        """Cut off the ends of a stretch that have moved along constrained rows further than the inner part.
 
-        A hand that leaves a surface at a flat angle has moved along the rows before its velocity shows it.
+        A hand that leaves a surface at a small angle has moved along the rows before its velocity shows it.
 
         Args:
-            rows: Array (s, r) of whitened rows.
+            rows: Whitened rows (s, r) that should be constrained.
             s: Part of a recording.
 
         Returns:
@@ -431,30 +464,29 @@ class View:
         return Stretch(s.recording, start, end)
 
     def selection(self, rows: np.ndarray) -> np.ndarray:
-        """Return Lambda in the rows of the features.
+        """Convert whitened rows to the selection matrix Lambda of the features.
 
         Args:
-            rows: Array (s, r) of whitened rows.
+            rows: Whitened rows (s, r).
 
         Returns:
-            Orthonormal array (s, p).
+            Lambda (s, p) with orthonormal rows.
         """
         return pivoted_rows(rows @ self.W)
 
 
 def row_maps(asked: Sequence[FeatureMap], table: Table, what: Literal["place", "whole", "surface"]) -> list[FeatureMap]:
-    """Return the feature maps to search for any requested axes: along those axes, and where mechanisms are constant
-    rows.
+    """Return the feature maps in which the learner searches for constraints, for the requested feature maps.
 
-    The frame is the first requested one, seen from the frame in which its rows are; places are counted from its mean
-    position.
+    They are along the requested axes, and of a form in which mechanisms have one Lambda at every configuration
+    (`PlaceRows`). The frame and its reference are those of the first requested map with a frame; its mean position is
+    the `middle` of `PlaceRows`.
 
     Args:
         asked: Requested feature maps.
-        table: Samples.
-        what: `"place"` for rows of the position of the hand, in which the search begins (requested maps without such
-            rows are included as they are); `"whole"` for rows of its whole twist, in which mechanisms are constant;
-            `"surface"` for rows in which surfaces of second order are constant.
+        table: Samples of all recordings.
+        what: `"place"` for the position of the hand, with which the search begins (requested maps without such rows are
+            included unchanged); `"whole"` for its whole twist; `"surface"` for the form `"surface"` of `PlaceRows`.
 
     Returns:
         Distinct feature maps.
@@ -476,14 +508,14 @@ def row_maps(asked: Sequence[FeatureMap], table: Table, what: Literal["place", "
 
 
 def tangents(robot: Robot | None, x: np.ndarray) -> np.ndarray:
-    """Return the tangent vectors from each posture to the next.
+    """Return the tangent vector from each configuration to the next one.
 
     Args:
-        robot: Robot; None if positions are plain numbers.
-        x: Array (n, nq) of postures [rad or m].
+        robot: The robot; None if the configurations are plain vectors.
+        x: Configurations (n, nq) [rad or m].
 
     Returns:
-        Array (n - 1, nv): differences, except for orientations.
+        Tangent vectors (n - 1, nv): differences, except for orientations (floating or spherical joints).
     """
     if robot is None or robot.positions_add_up:
         return np.diff(x, axis=0)
@@ -494,16 +526,16 @@ def tangents(robot: Robot | None, x: np.ndarray) -> np.ndarray:
 
 
 def refuse_unusable(recorded: Demonstrations, derived: Demonstrations, features: FeatureMap) -> None:
-    """Refuse recordings in which nothing moves, of another hand, or with a velocity far out of line with all others.
+    """Raise an error for recordings without motion, of another frame, or with a velocity outlier.
 
     Args:
-        recorded: Recordings as they were passed.
-        derived: The same with velocities.
-        features: First feature map.
+        recorded: Recordings as the caller passed them.
+        derived: The same recordings with velocities.
+        features: First requested feature map.
 
     Raises:
-        NotIdentifiableError: No joint moves beyond the noise of its encoder, or none that moves the frame.
-        RecordingError: There is an outlier.
+        NotIdentifiableError: No joint moves beyond the noise of its encoder, or no joint that moves the frame does.
+        RecordingError: One velocity is far larger than all others.
     """
     largest = []
     for t in recorded:
@@ -547,15 +579,15 @@ def refuse_unusable(recorded: Demonstrations, derived: Demonstrations, features:
 
 
 def table_refusal(table: Table, r: int, n_constraints: int | None) -> NotIdentifiableError | RecordingError | None:
-    """Return the reason why rows cannot be learnt from these samples; None if there is none.
+    """Check if constraint rows can be learnt from these samples at all.
 
     Args:
-        table: Samples.
+        table: Samples of all recordings.
         r: Number of independent rows of the features.
-        n_constraints: Number of rows to learn; None if it follows from the data.
+        n_constraints: Number of rows to learn; None to determine it from the data.
 
     Returns:
-        Refusal, or None.
+        The error that states why not, not raised; None if rows can be learnt.
     """
     if table.u.shape[1] < 2:
         return NotIdentifiableError("a constraint leaves no null space for a single joint", code="no-freedom")
@@ -592,7 +624,16 @@ def table_refusal(table: Table, r: int, n_constraints: int | None) -> NotIdentif
 
 
 class KeptRecording(NamedTuple):
-    """Recording of which every `step`-th sample is kept, or every `coarsest`-th at most."""
+    """Subsampled recording.
+
+    Attributes:
+        motion: The recording with the samples kept.
+        number: Index of the recording among all recordings.
+        coarsest: Largest allowed `step`.
+        rank: Hash of the configurations, used as a random number: if recordings must be dropped, the ones with the
+            lowest ranks are kept.
+        step: Every `step`-th sample was kept.
+    """
 
     motion: Trajectory
     number: int
@@ -603,20 +644,23 @@ class KeptRecording(NamedTuple):
 
 @final
 class EvenChoice:
-    """Even choice of the samples of some files, which grows by `merge`; unchanged while all fit.
+    """Evenly subsampled recordings of some files, to which `merge` adds those of further files.
+
+    All samples are kept if they are not more than `most`.
 
     Args:
-        most: Largest number of samples kept.
-        derive: Function that adds velocities to recordings, before samples are dropped.
-        part: Reader of recordings; None for an empty choice.
+        most: Largest number of samples to keep.
+        derive: Function that adds velocities to recordings; it is called before samples are dropped.
+        part: Reader of recordings: function that takes a list, appends remarks to it, and yields the recordings. None
+            for no recordings.
 
     Attributes:
-        kept: Recordings with the samples kept of each.
-        n_recordings: Number of all recordings.
-        notes: Remarks of their readers.
+        kept: The subsampled recordings.
+        n_recordings: Number of all recordings read.
+        notes: Remarks of the readers.
 
     Raises:
-        RecordingError: Recordings that cannot be used, velocities that cannot be derived.
+        RecordingError: Recordings cannot be used, or velocities cannot be derived.
     """
 
     def __init__(self, most: int, derive: Callable[[Demonstrations], Demonstrations], part: Reader | None = None):
@@ -637,10 +681,10 @@ class EvenChoice:
         self._thin()
 
     def merge(self, later: EvenChoice) -> None:
-        """Add the recordings of another choice, which is not changed.
+        """Add the recordings of further files to this choice, and subsample again if they are too many.
 
         Args:
-            later: Choice from further files.
+            later: Choice from further files; it is not changed.
         """
         self._totals += later._totals
         self.kept += later.kept
@@ -664,10 +708,10 @@ class EvenChoice:
 
     @property
     def demonstrations(self) -> Demonstrations:
-        """Chosen recordings; unchanged if all fit.
+        """The subsampled recordings, with the notes of the readers.
 
         Raises:
-            RecordingError: There are none.
+            RecordingError: There are no recordings.
         """
         recordings, notes = Demonstrations(k.motion for k in self.kept), dict.fromkeys(self.notes)
         if self._held < self._totals[0]:
@@ -677,13 +721,18 @@ class EvenChoice:
 
 
 def read_evenly(choose: Callable[..., Any], parts: list[Reader], client: Any, progress: Progress | None) -> EvenChoice:
-    """Return the choice from all parts, each read once; it does not depend on the number of workers.
+    """Read all parts of a data set once and subsample them evenly.
+
+    The result does not depend on the number of workers.
 
     Args:
-        choose: Function of a part that returns an `EvenChoice`; without an argument, an empty one.
-        parts: Readers of recordings.
+        choose: Function that reads a part and returns its `EvenChoice`; without an argument it returns an empty one.
+        parts: Readers of recordings, one per part.
         client: A `dask.distributed.Client`; None to read in this process.
-        progress: Function of the name of a stage and its completed share; None for none.
+        progress: Function that is called with the name of a stage and its completed share, 0 to 1; None for none.
+
+    Returns:
+        Subsampled recordings of all parts.
 
     Raises:
         RecordingError: Recordings cannot be used, or a setting matches no part.
@@ -697,13 +746,15 @@ def read_evenly(choose: Callable[..., Any], parts: list[Reader], client: Any, pr
 
 
 def map_parts(work: Callable[..., Any], parts: list[Reader], client: Any, progress: Progress | None) -> Iterator[Any]:
-    """Yield work(part) for each part, in order; on the workers of a client if there are several parts.
+    """Yield the result of a function for each part of a data set, in order.
+
+    Several parts are processed on the workers of a client.
 
     Args:
-        work: Function of a part.
-        parts: Readers of recordings.
-        client: A `dask.distributed.Client`; None to work in this process.
-        progress: Function of the name of a stage and its completed share; None for none.
+        work: Function that takes a part.
+        parts: Readers of recordings, one per part.
+        client: A `dask.distributed.Client`; None to process all parts in this process.
+        progress: Function that is called with the name of a stage and its completed share, 0 to 1; None for none.
 
     Raises:
         ManipLearnError: The workers of the client died.
@@ -724,14 +775,15 @@ def map_parts(work: Callable[..., Any], parts: list[Reader], client: Any, progre
 
 
 def dask_client(address: str | None, n_workers: int | None = None) -> AbstractContextManager[Any]:
-    """Open a connection to a scheduler, or start a cluster that is only reachable from this machine.
+    """Connect to a dask scheduler, or start a local cluster that is not reachable from other machines.
 
     Args:
-        address: `"local"`, or the address of a scheduler, e.g. `"tcp://10.0.0.1:8786"`; None for no client.
-        n_workers: Number of workers of a local cluster, processes with one thread; None for one per processor.
+        address: `"local"` to start a cluster; or the address of a scheduler, e.g. `"tcp://10.0.0.1:8786"`; None for no
+            client.
+        n_workers: Number of workers of a local cluster (processes with one thread); None for one per processor.
 
     Returns:
-        Context manager of the client, or of None.
+        Context manager that yields the client, or None if `address` is None.
 
     Raises:
         ManipLearnError: No scheduler answers at the address.

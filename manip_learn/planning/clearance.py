@@ -45,7 +45,7 @@ class Surroundings:
 
     Attributes:
         obstacles: All obstacles.
-        assumed: Names of obstacles that are only assumed.
+        assumed: Names of obstacles that are assumed, not stated by the user.
         handled: Names of obstacles that the hand may touch.
         hand: Names of the links of the hand.
     """
@@ -57,7 +57,7 @@ class Surroundings:
 
     @staticmethod
     def of(scene: Scene | None, robot: Robot, frame: Frame) -> Surroundings:
-        """Return the obstacles of a scene for a hand; only a floor under the base without a scene.
+        """Return the obstacles of a scene, with the links of the hand that may touch handled ones.
 
         Args:
             scene: Obstacles; None to assume a floor.
@@ -75,7 +75,7 @@ class Surroundings:
         return tuple(dict.fromkeys(o.name for o in self.obstacles))
 
     def is_held(self, links: tuple[str, str]) -> bool:
-        """Return True if a link belongs to the hand and an obstacle is handled by it.
+        """Return True if the link is of the hand and the obstacle is handled, so that the two may touch.
 
         Args:
             links: Names of the link and of the obstacle.
@@ -83,7 +83,7 @@ class Surroundings:
         return links[1] in self.handled and links[0] in self.hand
 
     def with_lower_floor(self, depth: float) -> Surroundings:
-        """Return the same obstacles with a lower floor.
+        """Return the same obstacles with the floor moved down.
 
         Args:
             depth: Distance by which the floor moves down [m].
@@ -107,13 +107,13 @@ def hand_of(robot: Robot, frame: Frame) -> frozenset[str]:
 
 @lru_cache(maxsize=8)
 def floor_height(robot: Robot) -> float:
-    """Return the height of a floor under the base.
+    """Return the height at which a floor under the robot is assumed.
 
     Args:
         robot: The robot.
 
     Returns:
-        Height of the lowest corner of the shapes that carry the first joint, at most 0, the height of the base [m].
+        Height in the base frame [m], at most 0: lowest corner of the shapes that carry the first joint.
     """
     heights, tag = [0.0], known_shapes(robot)
     for shape in (one for one in collision_shapes(robot, tag) if one.joint == 0 and tag != "links"):
@@ -132,7 +132,8 @@ def links_of(robot: Robot) -> tuple[SelfCollision, str]:
         robot: The robot.
 
     Returns:
-        The links with their collision shapes, or else their visual shapes, or else capsules; and the kind of shapes.
+        The collision model, and the kind of its shapes in one word. It has the collision shapes of the links; without
+        them the visual shapes, and without these capsules.
     """
     shapes = known_shapes(robot)
     return SelfCollision(robot, shapes=shapes, hulls=False), shapes
@@ -140,20 +141,23 @@ def links_of(robot: Robot) -> tuple[SelfCollision, str]:
 
 @final
 class Clearance:
-    """Collision check of postures, against the arm itself and against obstacles.
+    """Collision checker for configurations, against the arm itself and against obstacles.
 
-    An assumed floor gives way to the start, and to recorded postures; so do links that touch each other there.
+    The start and recorded configurations are assumed to be free of collisions: an assumed floor is lowered below them,
+    and links that touch in a recording may touch as much later.
 
     Args:
         robot: The robot.
-        links: Pairs of its links that must not touch; True for all of its shapes, False for none.
+        links: Pairs of links that must not touch, as a collision model; True for all shapes of the robot, False for
+            none.
         around: Obstacles.
-        start: Posture that counts as clear: a pair may come to half of its distance at the start.
-        shown: Recorded postures (k, n).
+        start: Joint positions (nv,) at the start [rad or m]. A pair that is near there may come to half of that
+            distance.
+        shown: Recorded joint positions (k, nv) [rad or m].
 
     Attributes:
-        around: Obstacles, with room for the start.
-        links: Distances of the links from each other and from the obstacles.
+        around: Obstacles, with the lowered floor.
+        links: Collision model that computes distances of the links from each other and from the obstacles.
         notes: Pairs that are not checked, in sentences.
     """
 
@@ -191,33 +195,34 @@ class Clearance:
 
     @property
     def pairs(self) -> tuple[tuple[int, int], ...]:
-        """Pairs of shapes of `links.geometry` that must not touch, the shape of a link first."""
+        """Pairs of shapes that must not touch, as indices in `links.geometry`; the first one is of a link."""
         return tuple(pair for pair in self.links.pairs if self.allowed(self.links.links_of(*pair)) >= 0.0)
 
     @property
     def least(self) -> float:
-        """Smallest clearance of all pairs that must not touch [m]."""
+        """Smallest of the allowed distances of all pairs that must not touch [m]."""
         return min([CLEARANCE, *(least for least in (self._held, *self._least.values()) if least >= 0.0)])
 
     def allowed(self, links: tuple[str, str]) -> float:
         """Return the smallest allowed distance of a pair.
 
         Args:
-            links: Names of the link and of the other link or obstacle.
+            links: Names of the link, and of the second link or obstacle.
 
         Returns:
-            Distance [m], negative where they may touch.
+            Distance [m], negative for a pair that may touch.
         """
         return min(CLEARANCE, self._least.get(links, np.inf), self._held if self.around.is_held(links) else np.inf)
 
     def plain(self, path: Iterable[Posture]) -> tuple[dict[str, Any], ...]:
-        """Return the obstacles as plain data: whether they are assumed, and the nearest link on a path.
+        """Describe the obstacles, and which link comes nearest to each on a path, as JSON values.
 
         Args:
-            path: Joint positions (nv,) of each posture [rad or m].
+            path: Configurations of the path, joint positions (nv,) each [rad or m].
 
         Returns:
-            Data of each obstacle for JSON, with the distance [m] and the name of the nearest link within 0.3 m.
+            One dictionary per obstacle: its shape, `assumed`, and for a link within 0.3 m its name `link` and its
+            distance `nearest` [m].
         """
         # [m] largest reported distance; triangles of all obstacles in a rollout, 0.3 MB of text
         near_distance, max_triangles = 0.3, 10_000
@@ -232,11 +237,11 @@ class Clearance:
         return tuple(out)
 
     def for_grasps(self, holds: Iterable[Posture]) -> Clearance:
-        """Return this check for a hand that penetrates handled objects no deeper than it has to.
+        """Return this checker with an allowed depth by which the hand may penetrate handled objects.
 
         Args:
-            holds: Possible grasp configurations. The one with the least penetration, or the start if it is deeper
-                there, sets the allowed depth.
+            holds: Possible grasp configurations, joint positions (nv,) each [rad or m]. The depth is the smallest
+                penetration in any of these, or the penetration at the start if that is deeper.
         """
         other, room = copy.copy(self), CLEARANCE + _TOLERANCE
 
@@ -248,20 +253,20 @@ class Clearance:
         return other
 
     def nearest_contact(self, q: Posture, distance: float = CLEARANCE) -> Proximity | None:
-        """Return the nearest pair that is closer than allowed.
+        """Return the pair of shapes that is closest together, among pairs that are closer than allowed.
 
         Args:
             q: Joint positions (nv,) [rad or m].
             distance: Largest distance of a reported pair [m].
 
         Returns:
-            Nearest pair; None if the posture is clear.
+            Nearest pair; None if the configuration is free of collisions.
         """
         pairs = [p for p in self._pairs(q, distance) if p.distance <= min(distance, self.allowed(p.links))]
         return min(pairs, key=lambda pair: pair.distance, default=None)
 
     def __call__(self, q: Posture) -> bool:
-        """Return True if a posture is clear.
+        """Return True if a configuration is free of collisions.
 
         Args:
             q: Joint positions (nv,) [rad or m].
@@ -270,33 +275,33 @@ class Clearance:
         return clear or (bool(self._least or self.around.handled) and self.nearest_contact(q) is None)
 
     def is_line_clear(self, a: Posture, b: Posture) -> bool:
-        """Return True if the straight joint motion between two postures is clear; the middle is checked first.
+        """Return True if the straight joint motion between two configurations is free of collisions.
 
         Args:
-            a: First posture (nv,) [rad or m].
-            b: Last posture (nv,) [rad or m].
+            a: First joint positions (nv,) [rad or m].
+            b: Last joint positions (nv,) [rad or m].
         """
         between = self._line(a, b)[1:-1]
         half = (len(between) + 1) // 2
         return all(self(q) for _, q in sorted(enumerate(between, 1), key=lambda one: abs(one[0] - half)))
 
     def first_contact(self, a: Posture, b: Posture) -> tuple[str, str] | None:
-        """Return the first pair in contact on the straight joint motion between two postures.
+        """Return the first pair in collision on the straight joint motion between two configurations.
 
         Args:
-            a: First posture (nv,) [rad or m].
-            b: Last posture (nv,) [rad or m].
+            a: First joint positions (nv,) [rad or m].
+            b: Last joint positions (nv,) [rad or m].
 
         Returns:
-            Names of the pair; None if the motion is clear.
+            Names of the link, and of the second link or obstacle; None if the motion is free of collisions.
         """
         return next((pair.links for q in self._line(a, b) if (pair := self.nearest_contact(q)) is not None), None)
 
     def is_path_clear(self, path: Iterable[Posture]) -> bool:
-        """Return True if a joint path is clear, with the straight motions between its postures.
+        """Return True if a joint path with straight segments is free of collisions.
 
         Args:
-            path: Joint positions (nv,) of each posture [rad or m].
+            path: Configurations of the path, joint positions (nv,) each [rad or m].
         """
         path = list(path)
         return all(map(self, path)) and all(self.is_line_clear(*ends) for ends in pairwise(path))

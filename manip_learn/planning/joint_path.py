@@ -35,21 +35,23 @@ _LOCK, _LOG = threading.Lock(), logging.getLogger(__name__)  # a copy is for one
 def joint_path(
     robot: Robot, start: Posture, goal: Posture, limits: Limits, clear: Clearance, seed: int
 ) -> list[Posture] | None:
-    """Return knots from the start to the goal with clear straight joint motions between them; None if there are none.
+    """Plan a joint path from a start to a goal that is free of collisions.
 
-    RoboPlan is imported only if the straight motion is not clear. It plans for revolute and prismatic joints, and for
-    joints that follow an earlier one of these. The reason for a failure is logged at level INFO.
+    RoboPlan is imported only if the straight motion is not free. It plans for revolute and prismatic joints, and for
+    joints that mimic an earlier one of these. The reason for a failure is logged at level INFO.
 
     Args:
         robot: The robot.
-        start: Joint positions within the limits [rad or m].
-        goal: Joint positions within the limits [rad or m]; for a joint without limits, at most a turn away.
+        start: Joint positions (nv,) within the limits [rad or m].
+        goal: Joint positions (nv,) within the limits [rad or m]; for a joint without limits, at most a turn from the
+            start.
         limits: Joint limits; only the position limits are used.
         clear: Collision check.
         seed: Seed of the search: the same seed gives the same path.
 
     Returns:
-        Postures (nv,), the start and the goal included.
+        Waypoints, joint positions (nv,) each, including start and goal, with straight joint motions between them; None
+        if no path was found.
 
     Raises:
         MissingExtraError: The straight motion is not clear, and RoboPlan is not installed.

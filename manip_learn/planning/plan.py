@@ -41,19 +41,19 @@ Around = Scene | Literal["assumed"] | None
 @final
 @dataclass(frozen=True, eq=False, repr=False)
 class Plan:
-    """A grasp configuration, the approach to it, and the motion with its null-space policy.
+    """Planned and simulated motion: a grasp configuration, the approach to it, and the motion along the constraint.
 
     Attributes:
         robot: The robot.
-        q_grasp: Joint positions in which the hand grasps [rad or m].
-        approach: Motion from the start to the grasp configuration, as simulated.
-        way: The motion itself, as simulated, from the time of the grasp.
+        q_grasp: Joint positions (nv,) of the grasp configuration [rad or m].
+        approach: Simulated motion from the start to the grasp configuration.
+        way: Simulated motion along the constraint, from the time of the grasp.
         margin: Smallest remaining share of the limits along the motion, at most 1: of the joint ranges, of the joint
             speeds, of the speed in the weakest direction (`manip_learn.planning.stations` has the formula).
-        margins: The same in parts, with the joint and the place.
-        outcome: Outcome of the motion: distance, deviation, speed.
-        controller: Controller of the whole motion, for `simulate` and `ServoLoop`, from the start.
-        candidates: Number of postures at the first station that were compared.
+        margins: The three margins, with the joint and the position along the motion that limit them.
+        outcome: Outcome of the simulated motion: distance, deviation, speed.
+        controller: Controller of approach and motion, to be passed to `simulate` or `ServoLoop` with the same start.
+        candidates: Number of grasp configurations that were compared.
         notes: Checks that were not made, and other remarks, in sentences.
         around: Obstacles that approach and motion avoid.
         take: Recording that the plan follows; None for a plan from a search.
@@ -74,23 +74,23 @@ class Plan:
 
     @property
     def rollout(self) -> Rollout:
-        """Approach and motion, one after the other; the phases are the approach, the hold and the way."""
+        """Approach and motion as one rollout, with the phases `"approach"`, `"hold"` and `"way"`."""
         return self.approach.followed_by(self.way)
 
     def save(self, path: str | Path) -> Path:
-        """Write approach and motion as one file; formats and errors as for `Rollout.save`.
+        """Write approach and motion as one file, see `Rollout.save` for formats and errors.
 
         Args:
             path: File to write.
 
         Returns:
-            Path of the file.
+            Path of the written file.
         """
         return self.rollout.save(path)
 
     @property
     def sentence(self) -> str:
-        """Plan in words."""
+        """The plan in one or more sentences."""
         change = float(np.max(np.abs(self.approach.q[-1] - self.approach.q[0]), initial=0.0))
         moved = "grasp as it stands" if change < ARRIVED else f"grasp after {self.approach.time[-1]:.1f} s"
         return (
@@ -102,7 +102,7 @@ class Plan:
         return f"Plan({self.sentence})"
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the plan for JSON: lengths in m, angles in rad."""
+        """Return the plan as a dictionary of JSON values: lengths in m, angles in rad."""
         return {
             "margin": self.margin,
             "limited_by": self.margins.limited_by,
@@ -129,44 +129,44 @@ def plan(
     progress: Progress | None = None,
     takes: Sequence[Take] = (),
 ) -> Plan:
-    """Plan the grasp configuration so that the whole motion is feasible, and the motion from the start through it.
+    """Plan a grasp configuration with which the whole motion is feasible, the approach to it, and the motion.
 
-    The grasp configuration decides whether a drawer opens completely, before the pull begins. The grasp pose is part of
-    the motion (see `motion`); the configuration is chosen among hundreds by the smallest margin over the whole motion,
-    in units of its own limits (`manip_learn.planning.stations` has the formula); among margins within a hundredth of
-    each other, the larger manipulability of the constrained and driven rows decides. The best one is simulated, and
-    accepted if the whole motion completes within 2 mm of the mechanism; otherwise the next one is tried. If the current
-    configuration does as well, the arm grasps there. Approach and motion keep a clearance of 5 mm from the arm's own
-    links and from the scene.
+    A redundant arm can grasp a handle in many configurations, and the choice decides whether a drawer opens completely.
+    The grasp pose is part of the motion (see `motion`). For each of hundreds of configurations, the remaining share of
+    the joint limits over the whole motion (margin, see `Plan.margin`) is computed. The configuration with the largest
+    margin is chosen; among margins within 0.01 of each other, the one with the larger manipulability of the constrained
+    and driven rows. Its motion is simulated and accepted if it completes within 2 mm of the mechanism; otherwise the
+    next configuration is tried. If the current configuration is as good, the arm grasps there. Approach and motion keep
+    a clearance of 5 mm from the arm's own links and from the scene.
 
     Args:
         constraint: Learnt constraint of the hand.
         motion: Motion along it, from `motion`.
-        start: Configuration (nq,) before the motion.
-        seed: Seed of the random postures: the same seed gives the same plan.
-        candidates: Number of postures from which the search begins. With 2,000, the best margin of a drawer rises by
-            less than 0.01 (measured at ff412730).
+        start: Configuration (nq,) of the robot before the approach [rad or m].
+        seed: Seed of the random configurations: the same seed gives the same plan.
+        candidates: Number of configurations from which the search begins. With 2,000, the best margin of a drawer rises
+            by less than 0.01 (measured at ff412730).
         limits: Joint limits; None for the robot's own.
-        collision: Pairs of links that must not touch; True for all of the robot's shapes, False for none.
-        scene: Obstacles; None for no obstacles. By default a floor under the base is assumed, below all
-            postures of the recordings and of the start.
-        dt: Step of the simulation [s].
-        progress: As for `simulate`.
-        takes: Recordings of this motion, see `Step.takes`: the first feasible one is followed; then nothing is
-            searched.
+        collision: Pairs of links that must not touch, as a `SelfCollision`; True for all of the robot's shapes, False
+            for none.
+        scene: Obstacles, a `Scene`; None for no obstacles; `"assumed"` for a floor under the base, below all
+            configurations of the recordings and the start.
+        dt: Time step of the simulation [s].
+        progress: Function that is called with the name of a stage and its completed share, 0 to 1; None for none.
+        takes: Recordings of this motion, see `Step.takes`. If one is feasible, the plan follows it without a search.
 
     Returns:
-        Plan, simulated without collisions.
+        The plan, whose simulated motion is free of collisions.
 
     Raises:
         NoPlanError: The motion is infeasible from every configuration that was tried; the message gives the feasible
             part, the cause, and possible remedies.
-        TargetError: A start outside the limits or in collision, a motion beyond the demonstrated range, or a grasp pose
-            that does not fit.
-        MissingExtraError: The straight approach is not clear, and RoboPlan is not installed.
-        ConfigurationError: A start of another size, a joint without velocity limit, or a value that is not a finite
+        TargetError: The start is outside the limits or in collision, the motion exceeds the demonstrated range, or the
+            grasp pose does not fit the mechanism.
+        MissingExtraError: The straight approach is in collision, and RoboPlan is not installed.
+        ConfigurationError: The start has the wrong size, a joint has no velocity limit, or a value is not a finite
             number.
-        FeatureError: The rows do not belong to a frame, or the robot has a floating or planar base.
+        FeatureError: The constraint's features have no frame, or the robot has a floating or planar base.
 
     Example:
         >>> import manip_learn as ml
@@ -201,23 +201,25 @@ def approach(
     dt: float,
     shown: Postures | None = None,
 ) -> Approach | None:
-    """Simulate a joint motion to a posture: as recorded, else straight, else around obstacles.
+    """Plan and simulate a joint motion to a goal: as recorded; if this is not possible, straight; else around
+    obstacles.
 
     Args:
-        goal: Joint positions (nv,) [rad or m].
-        start: Configuration (nq,).
-        rows: Constraint whose manipulability the rollout contains.
+        goal: Goal joint positions (nv,) [rad or m].
+        start: Start configuration (nq,) [rad or m].
+        rows: Constraint whose manipulability is stored in the rollout.
         limits: Joint limits.
         clear: Collision check.
         seed: Seed of the path around obstacles.
-        dt: Step of the simulation [s].
-        shown: Knots (k, nv) of a recorded motion; None without one.
+        dt: Time step of the simulation [s].
+        shown: Waypoints (k, nv) of a recorded motion [rad or m]; None if there is none.
 
     Returns:
-        Kind of motion in words, its law and its rollout; None if there is no clear motion, or it does not arrive.
+        Kind of motion in words, its controller and its rollout; None if no motion is free of collisions, or if it does
+        not arrive.
 
     Raises:
-        MissingExtraError: The straight motion is not clear, and RoboPlan is not installed.
+        MissingExtraError: The straight motion is in collision, and RoboPlan is not installed.
     """
     speed_share = 0.25  # share of the velocity limits: people may be near, as in ISO 10218-1
     robot = limits.robot
@@ -244,15 +246,20 @@ def approach(
 @final
 @dataclass(frozen=True, eq=False, repr=False)
 class PathPolicy(NullSpacePolicy):
-    """Null-space policy pi = dq*/dt + gain (q*(t) - q), q* a cubic spline, at rest before its first and after its last
-    knot.
+    r"""Null-space policy that follows a joint path in time.
+
+    .. math::
+
+        \pi(q, t) = \dot q^*(t) + k \, (q^*(t) - q)
+
+    The path is a cubic spline; before its first and after its last knot its velocity is 0.
 
     Attributes:
-        path: Spline of joint positions, by the time since the motion began [s].
-        gain: Rate at which deviations decay [1/s].
+        path: Spline :math:`q^*` of joint positions (nv,), over the time since the motion began [s].
+        gain: Gain k, the rate at which deviations decay [1/s].
         robot: The robot.
-        moving: Mask (nv,) of the joints that follow the path.
-        motion: Motion along which the path leads.
+        moving: Mask (nv,) of the joints that follow the path; the deviation of the others is not corrected.
+        motion: Task motion to which the path belongs; the time t is counted from its beginning.
     """
 
     path: CubicSpline
@@ -262,11 +269,11 @@ class PathPolicy(NullSpacePolicy):
     motion: FreeDirection
 
     def __call__(self, q: ArrayLike, t: float = 0.0) -> Float[np.ndarray, " nv"]:
-        """Return the velocity along the path and towards it [rad/s or m/s].
+        """Return the joint velocity (nv,) along the path and towards it [rad/s or m/s].
 
         Args:
-            q: Configuration (nq,).
-            t: Time on the clock of the controller [s].
+            q: Configuration (nq,) [rad or m].
+            t: Time since the start of the controller [s].
 
         Raises:
             ConfigurationError: q has the wrong size or is not finite.

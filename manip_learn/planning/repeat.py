@@ -40,18 +40,19 @@ class StepDone:
     """Outcome of one step of a skill.
 
     Attributes:
-        kind: `"reach"` or `"way"`.
-        wanted: Requested motion of the hand [m] or [rad].
-        done: Completed motion of the hand [m] or [rad].
-        unit: Unit of both.
+        kind: `"reach"` (motion through free space) or `"way"` (motion along a constraint).
+        wanted: Requested distance or angle of the motion [m or rad].
+        done: Completed distance or angle [m or rad].
+        unit: Unit of `wanted` and `done`, `"m"` or `"rad"`.
         deviation: Largest deviation from the mechanism [m or rad]; for a reach, distance of its end from the goal [m].
-        margin: Margin of a motion, as in `Plan`; None for a reach.
+        margin: Smallest remaining share of the limits, see `Plan.margin`; None for a reach.
         stopped_by: Reason for stopping early, in words; None if the step was completed.
-        fastest: Largest share of a joint's velocity limit.
-        place: Position (3,) of the hand at the end, in the base frame: at the grasp, or at the end of the motion [m].
+        fastest: Largest joint speed as a share of its limit, 0 to 1.
+        place: Final position (3,) of the hand in this step, in the base frame [m]; for a reach, the grasp.
         name: Name of the step in words.
         grasp: Pose (4, 4) of the hand at the grasp, in the base frame [m]; None for a retreat.
-        off: Distance of the grasp from the nearest place where a contact began [m]; None if that is not known.
+        off: Distance of the grasp from the nearest demonstrated grasp [m], or of the end of a retreat from the
+            demonstrated end; None if it is not known.
     """
 
     kind: str
@@ -68,7 +69,7 @@ class StepDone:
     off: float | None = None
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the outcome for JSON: lengths in m, angles in degrees."""
+        """Return the outcome as a dictionary of JSON values: lengths in m, angles in degrees."""
         size = 1.0 if self.unit == "m" else float(np.degrees(1.0))
         in_words = {"unit": "m" if self.unit == "m" else "deg", "place": self.place.tolist()}
         in_words["grasp"] = None if self.grasp is None else self.grasp.tolist()
@@ -81,10 +82,11 @@ class Repetition:
     """Reproduction of a skill.
 
     Attributes:
-        skill: The skill, at the current place of its fixtures.
-        rollout: The whole motion, as simulated; its phases are named after the steps.
+        skill: The skill, moved with its fixtures if `repeat` got a `fixture_transform`.
+        rollout: The whole simulated motion; its phases are named after the steps.
         steps: Outcome of each step.
-        controller: Controller of the whole motion, for `simulate`, `ServoLoop` and `run`, from the start.
+        controller: Controller of the whole motion, to be passed to `simulate`, `ServoLoop` or `run` with the same
+            start.
         tip_path: Length of the path of the tip, the frame that the skill constrains [m].
         tip_speed: Largest speed of the tip over any step of the rollout [m/s].
         notes: Remarks, in sentences.
@@ -108,7 +110,7 @@ class Repetition:
 
     @property
     def pace(self) -> str:
-        """Duration, path length and largest speed of the tip, in words."""
+        """Duration, path length and largest speed of the tip as one sentence."""
         return f"{self.rollout.time[-1]:.3g} s, {self.tip_path:.3g} m of the tip, at most {self.tip_speed:.2g} m/s"
 
 
@@ -132,38 +134,37 @@ def repeat(
     progress: Progress | None = None,
     moved: ArrayLike | None = None,
 ) -> Repetition:
-    """Reproduce a skill from any start: every step in the demonstrated order.
+    """Plan and simulate the reproduction of a skill from a start configuration, all steps in the demonstrated order.
 
     Each motion follows a recording: its approach, its grasp, its distance or path, and its duration, or a longer one if
-    the tip would be faster than `tip_speed`. After the last motion the hand retreats to where the recordings ended. If
+    the tip would be faster than `tip_speed`. After the last motion the hand retreats to the end of the recordings. If
     no recording can be followed, or none is known, the grasp configuration is searched (see `plan`).
 
     Args:
-        skill: Learnt (`ConstraintLearner.skill_`) or loaded; a constraint stands for a skill with one motion.
-        start: Configuration (nq,) before the first step.
-        fixture_transform: Rigid motion (4, 4) of the fixtures in the base frame since the demonstrations, p' = R p + t
-            [m]; None if they did not move.
+        skill: Skill from `ConstraintLearner.skill_` or `Skill.load`; or a constraint, for a skill with one motion.
+        start: Configuration (nq,) of the robot before the first step [rad or m].
+        fixture_transform: Homogeneous matrix (4, 4) of the rigid motion p' = R p + t of the fixtures (e.g. a cabinet)
+            since the demonstrations, in the base frame [m]; None if they did not move.
         prefer: `"shown"` to follow recordings; `"room"` to search for the configuration with the largest margin first.
-        scene: Obstacles that every step avoids, as for `plan`.
-        seed: Seed of the random postures: the same seed gives the same motion.
+        scene: Obstacles that every step avoids: a `Scene`; `"assumed"` for an assumed floor; None for no obstacles.
+        seed: Seed of the random configurations: the same seed gives the same motion.
         limits: Joint limits; None for the robot's own.
-        dt: Step of the simulation [s].
-        tip_speed: Largest speed of the tip in every step, approach, motion and retreat [m/s], at most the demonstrated
-            one; the tip is the frame that the skill constrains. `"shown"`: the demonstrated speed. None: only the joint
-            limits apply. If `limits` have a tip speed, the lower one applies.
-        progress: As for `simulate`.
+        dt: Time step of the simulation [s].
+        tip_speed: Largest speed of the tip in every step [m/s]; a motion is never faster than demonstrated. The tip is
+            the frame that the skill constrains. `"shown"` for the demonstrated speed, None for the joint limits only.
+            If `limits` have a tip speed, the lower one applies.
+        progress: Function that is called with the name of a stage and its completed share, 0 to 1; None for none.
         moved: Former name of `fixture_transform`, valid until 0.4.
 
     Returns:
-        The motion, the outcome of each step, the controller, and notes: both durations of a motion that takes longer
-        than demonstrated, both speeds if the arm cannot reach a tip speed.
+        The motion, the outcome of each step, the controller, and notes, e.g. about a motion that takes longer than
+        demonstrated, or a tip speed that the arm cannot reach.
 
     Raises:
         NoPlanError: A step is infeasible; the message gives the step, the cause and possible remedies. The steps before
             it are not returned.
-        TargetError: A start outside the limits, a transform that is not rigid, or a skill without a motion.
-        ConfigurationError: An argument that is not a skill, a start of another size, or a tip speed that is not
-            positive.
+        TargetError: The start is outside the limits, the transform is not rigid, or the skill has no motion.
+        ConfigurationError: `skill` is no skill, `start` has the wrong size, or `tip_speed` is not positive.
 
     Example:
         >>> import manip_learn as ml

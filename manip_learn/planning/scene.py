@@ -31,12 +31,12 @@ LARGEST = 20.0  # [m] largest size and coordinate, as of a hall; larger numbers 
 
 
 class Thing:
-    """Solid in the workspace; its numbers are checked when it is made.
+    """Base class of the obstacles in a `Scene`; the constructor checks the numbers.
 
     Attributes:
-        name: Name.
-        pose: Pose (4, 4) of its own frame in the robot's base frame [m].
-        shape: Shape in its own frame [m].
+        name: Name, unique in a scene.
+        pose: Pose (4, 4) of the obstacle's own frame in the robot's base frame [m].
+        shape: Shape in the obstacle's own frame [m].
         span: Largest dimension; for a mesh the longest side of its bounding box [m].
     """
 
@@ -82,7 +82,7 @@ class Box(Thing):
         name: Name, unique in a scene.
 
     Raises:
-        SceneError: The numbers are no size, or no pose.
+        SceneError: `size` or `pose` is not valid.
     """
 
     size: ArrayLike
@@ -114,7 +114,7 @@ class Cylinder(Thing):
     Args:
         radius: Radius [m].
         length: Length along its own z axis [m].
-        pose: Pose of its centre, as for a `Box`.
+        pose: Pose of its centre in the robot's base frame, in a form that `Box` accepts.
         name: Name, unique in a scene.
     """
 
@@ -130,13 +130,14 @@ class Mesh(Thing):
     """Triangle mesh in the workspace; an open mesh is a surface, without an inside.
 
     Args:
-        source: An STL, OBJ or COLLADA file; or vertices (n, 3) and triangles (m, 3), counted from 0.
-        pose: Pose of its own frame, as for a `Box`.
+        source: An STL, OBJ or COLLADA file; or vertices (n, 3) and triangles (m, 3), which are indices of vertices from
+            0.
+        pose: Pose of the mesh's frame in the robot's base frame, in a form that `Box` accepts.
         name: Name, unique in a scene.
         scale: Metres per unit of the source, one number or one for each axis: 0.001 for millimetres.
 
     Raises:
-        SceneError: The file does not exist or cannot be read, or the numbers are no mesh.
+        SceneError: The file does not exist or cannot be read, or the arrays are no valid mesh.
     """
 
     source: str | os.PathLike[str] | tuple[ArrayLike, ArrayLike]
@@ -194,13 +195,13 @@ class Scene:
 
     @property
     def solids(self) -> tuple[Thing, ...]:
-        """All obstacles without the floor, to draw: each has a `name`, a `pose` and a `shape`, see `Thing`."""
+        """All obstacles without the floor, e.g. to draw them: each has a `name`, a `pose` and a `shape`."""
         return (*self.boxes, *self.spheres, *self.cylinders, *self.meshes)
 
     def obstacles(self, robot: Robot) -> tuple[Obstacle, ...]:
-        """Return the obstacles for collision checks; the floor is a large box below.
+        """Return the obstacles for collision checks, with a large box for the floor.
 
-        The base, and the links on its first joint, may touch the floor, and an obstacle at the origin of the base.
+        The base and the links on its first joint may touch the floor, and an obstacle that contains the base's origin.
 
         Args:
             robot: The robot.
@@ -227,9 +228,10 @@ class Scene:
 
     @staticmethod
     def load(path: str | os.PathLike[str], robot: Robot | None = None) -> Scene:
-        """Read a scene file; or a URDF or MJCF without moving joints, with its collision shapes.
+        """Read a scene from a scene file, or from a URDF or MJCF file without moving joints.
 
-        A scene file is JSON with the arguments of `Scene` and of its obstacles; mesh files are relative to its folder:
+        Of a URDF or MJCF the collision shapes are used. A scene file is JSON with the arguments of `Scene` and of its
+        obstacles; paths of mesh files are relative to its folder:
 
             {"floor": 0.0, "boxes": [{"name": "table", "size": [1.0, 0.6, 0.04], "pose": [0.6, 0.0, 0.3]}],
              "meshes": [{"name": "cabinet", "source": "cabinet.stl", "scale": 0.001, "pose": [0.8, 0, 0, 0, 0, 1.57]}],
@@ -243,9 +245,9 @@ class Scene:
             Scene in the base frame of the robot.
 
         Raises:
-            SceneError: The file is empty or no scene, a joint moves, or an obstacle is not valid.
-            UnknownNameError: An unknown key; or `handled` names an object that is not in the scene.
-            RobotError: The file cannot be read, or its description is refused.
+            SceneError: The file is empty or no scene, it has a moving joint, or an obstacle is not valid.
+            UnknownNameError: The file has an unknown key, or `handled` names an object that is not in the scene.
+            RobotError: The file cannot be read, or is no valid URDF or MJCF.
         """
         factor = 10.0  # reaches of the robot: larger things are probably in millimetres
         file = Path(path).expanduser()
@@ -265,13 +267,13 @@ class Scene:
         return scene
 
     def save(self, path: str | os.PathLike[str]) -> Path:
-        """Write a scene file, completely or not at all, see `load`.
+        """Write a scene file, see `load`; after an error, no incomplete file is left.
 
         Args:
             path: File to write.
 
         Returns:
-            Path of the file.
+            Path of the written file.
 
         Raises:
             OutputError: The file cannot be written.
@@ -281,7 +283,7 @@ class Scene:
         return write_atomically(path, re.sub(r"\s+(?=[^\[\]{}]*\])", " ", text))  # keep each row of numbers on one line
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the content of a scene file, see `load`, with absolute paths of mesh files."""
+        """Return the content of a scene file as a dictionary, see `load`; paths of mesh files are absolute."""
         things = {field: [_to_json(thing) for thing in getattr(self, field)] for field in _KINDS}
         floor = {} if self.floor is None else {"floor": float(self.floor)}
         return floor | {field: all_ for field, all_ in things.items() if all_} | {"handled": list(self.handled)}

@@ -1,4 +1,4 @@
-"""Motion of a hand as a table of stations, inverse kinematics for many postures onto them, and their margins.
+"""Discretised motion of a hand (stations), inverse kinematics onto the stations, and margins of joint paths.
 
 A margin is the remaining share of the limits along a motion: of the joint ranges, of the joint speeds, and of the speed
 in the weakest direction.
@@ -41,21 +41,21 @@ Postures = Float[np.ndarray, "n nv"]
 @final
 @dataclass(frozen=True, eq=False)
 class Stations:
-    """Poses of a hand at L instants of a motion, and the rows along which they count.
+    """Discretised motion of a hand: its poses at L times (stations), and the rows along which it must follow them.
 
     Attributes:
         limits: Joint limits.
         unit: Unit of distances, `"m"` or `"rad"`.
         time: Times (L,) since the motion began [s].
         distance: Distances (L,) along the motion [m or rad].
-        places: Positions (L, 3) of the hand's origin, as `hand` gives them [m].
+        places: Positions (L, 3) of the hand's origin, in the reference frame of `hand` [m].
         turns: Rotations (L, 3, 3) of the hand since the motion began, in the base frame.
-        rows: Weights (L, s, 6) of the hand's twist (v, w) in the held and driven rows.
-        grasp: Orientation (3, 3) of the hand at the start; it matters if a row constrains a rotation.
-        hand: Pose and twist of the hand, see `FeatureMap.twist`.
-        moving: Mask (nv,) of the joints that move the hand; others, such as fingers, rest.
-        grip: Orientation (3, 3) of the grasp in the recordings, and its spread [rad]; None if the rows constrain
-            rotations, or nothing was demonstrated: the orientation of the grasp is free.
+        rows: Matrices (L, s, 6) that turn the hand's twist (v, w) into the s held and driven rows.
+        grasp: Orientation (3, 3) of the hand at the start; only used if a row constrains a rotation.
+        hand: Features of the hand's twist, which also give its pose, see `FeatureMap.twist`.
+        moving: Mask (nv,) of the joints that move the hand; other joints, such as fingers, rest.
+        grip: Orientation (3, 3) of the demonstrated grasp, and its spread [rad]. None if the rows constrain rotations,
+            or if nothing was demonstrated, so that any orientation of the grasp is allowed.
     """
 
     limits: Limits
@@ -72,13 +72,16 @@ class Stations:
 
     @staticmethod
     def of(motion: FreeDirection, start: ArrayLike, limits: Limits) -> Stations:
-        """Return the stations of a motion that begins at the grasp.
+        """Discretise a motion that begins at the grasp.
 
         Args:
             motion: The motion.
-            start: Configuration (nq,) before the motion: the hand is at the mechanism, or moves to the nearest
-                demonstrated place.
+            start: Configuration (nq,) before the motion. If the hand is not at the mechanism, the motion begins at the
+                nearest demonstrated grasp.
             limits: Joint limits.
+
+        Returns:
+            The stations, 0.1 s apart unless the motion is short or long.
 
         Raises:
             FeatureError: The rows do not belong to a frame.
@@ -115,7 +118,7 @@ class Stations:
 
     @cached_property
     def needs(self) -> Float[np.ndarray, "L s"]:
-        """Largest speed along each row of a hand that moves, or turns, as fast as in the motion [m/s or rad/s]."""
+        """Speed that the motion needs along each row, matrix B in the docstring of this module [m/s or rad/s]."""
         # [m] distance from the hand to the object: a motion of 0.1 m/s counts as one of 0.5 rad/s (`tasks.motion`)
         lever = 0.2
         angles = Rotation.from_matrix(self.turns[1:] @ self.turns[:-1].transpose(0, 2, 1)).magnitude()
@@ -129,20 +132,23 @@ class Stations:
         return bool(np.any(np.abs(self.rows[:, :, 3:]) > 1e-9))
 
     def with_rows(self, rows: Float[np.ndarray, "s 6"], grasp: Float[np.ndarray, "3 3"] | None = None) -> Stations:
-        """Return the same positions for other rows of the hand's twist.
+        """Return the same poses with other rows along which the hand must follow them.
 
         Args:
-            rows: Weights (s, 6) of the twist (v, w).
-            grasp: Other orientation (3, 3) of the hand at the start; None to keep it.
+            rows: Matrix (s, 6) that turns the hand's twist (v, w) into the rows, the same at all stations.
+            grasp: New orientation (3, 3) of the hand at the start; None to keep the present one.
         """
         table = np.repeat(rows[None], len(self), axis=0)
         return replace(self, rows=table, grip=None, grasp=self.grasp if grasp is None else grasp)
 
     def grasps_as_shown(self, q: Postures) -> Bool[np.ndarray, " n"]:
-        """Return True for postures at the first station in which the hand has its demonstrated orientation.
+        """Return whether the hand has its demonstrated grasp orientation, within 10 degrees or the spread of grasps.
 
         Args:
-            q: Postures (n, nv) [rad or m].
+            q: Joint positions (n, nv) at the first station [rad or m].
+
+        Returns:
+            Mask (n,); True for all if any orientation is allowed.
         """
         tolerance = 0.17  # [rad] 10 degrees: error of a person who repeats a grasp by eye
         if self.grip is None:
@@ -151,26 +157,26 @@ class Stations:
         return angles_between(orientation, self.hand.poses(q)[:, :3, :3]) <= max(turned, tolerance)
 
     def matrices(self, q: Postures, station: Int[np.ndarray, " n"]) -> Float[np.ndarray, "n s nv"]:
-        """Return A(q) of the held and driven rows.
+        """Return the matrix A(q) of the held and driven rows at configurations.
 
         Args:
-            q: Postures (n, nv) [rad or m].
-            station: Number of the station of each posture (n,).
+            q: Joint positions (n, nv) [rad or m].
+            station: Index (n,) of the station of each configuration.
         """
         return self.rows[station] @ self.hand.batch(q)
 
     def onto(self, q: Postures, station: Int[np.ndarray, " n"], steps: int) -> tuple[Postures, Bool[np.ndarray, " n"]]:
-        """Move postures onto their stations, within the joint limits, by Newton's method.
+        """Solve inverse kinematics: move configurations to their stations, within the joint limits.
 
-        A joint at a limit that would go beyond it stops, and the others do the rest.
+        The method is Newton's. A joint that would exceed its limit stops there, and the other joints compensate.
 
         Args:
-            q: Postures (n, nv) from which the iteration begins [rad or m].
-            station: Number of the station of each posture (n,).
+            q: Initial joint positions (n, nv) [rad or m].
+            station: Index (n,) of the station of each configuration.
             steps: Largest number of Newton steps.
 
         Returns:
-            The postures, and a mask (n,) of the postures that are at their station.
+            Joint positions (n, nv), and a mask (n,) of those that reached their station.
         """
         turns = self.turns[station] @ self.grasp if self.holds_orientation else None
         return solve_ik(self.hand, self.limits.robot, q, self.places[station], turns, self.rows[station], steps)
@@ -185,20 +191,22 @@ def solve_ik(
     rows: Float[np.ndarray, "n s 6"],
     steps: int,
 ) -> tuple[Postures, Bool[np.ndarray, " n"]]:
-    """Move the hand in many postures to poses, as far as rows of its twist constrain them; `Stations.onto` has the
-    method.
+    """Solve inverse kinematics for n poses of the hand at once, by Newton's method within the joint limits.
+
+    Only the deviation along given rows of the hand's twist is removed. A joint that would exceed its limit stops there,
+    and the other joints compensate.
 
     Args:
-        hand: Pose and twist of the hand, see `FeatureMap.twist`.
+        hand: Features of the hand's twist, which also give its pose, see `FeatureMap.twist`.
         robot: The robot.
-        q: Postures (n, nv) from which the iteration begins [rad or m].
-        places: Positions (n, 3) of the hand, as `hand` gives them [m].
-        turns: Orientations (n, 3, 3) of the hand; None if no row constrains a rotation.
-        rows: Weights (n, s, 6) of the twist (v, w).
+        q: Initial joint positions (n, nv) [rad or m].
+        places: Goal positions (n, 3) of the hand, in the reference frame of `hand` [m].
+        turns: Goal orientations (n, 3, 3) of the hand; None if no row constrains a rotation.
+        rows: Matrices (n, s, 6) that turn the twist (v, w) into the rows.
         steps: Largest number of Newton steps.
 
     Returns:
-        The postures, and a mask (n,) of the postures that are at their pose.
+        Joint positions (n, nv), and a mask (n,) of those that reached their pose.
     """
     tolerance = 2e-5  # [m or rad] a tenth of the 0.2 mm that count as at the mechanism
     low, high = robot.position_lower, robot.position_upper
@@ -239,15 +247,15 @@ def _least_step(
 
 @final
 class Margins(NamedTuple):
-    """Smallest margins along a motion.
+    """Smallest margins along a motion, see the docstring of this module for the formula.
 
     Attributes:
-        margin: The smallest of the three.
-        singular_value: Smallest singular value of the held and driven rows [m or 1].
-        weakest: Smallest sigma / (sigma + 1).
-        room: Smallest remaining share of half a joint's range.
-        speed: Smallest remaining share of a joint's velocity limit.
-        limited_by: The smallest of the three, with the joint and the place, in words.
+        margin: Smallest of `weakest`, `room` and `speed`.
+        singular_value: Smallest singular value of the held and driven rows, for translations in m.
+        weakest: Margin of the weakest direction, the smallest sigma / (sigma + 1).
+        room: Margin of the joint ranges: smallest distance to a position limit as a share of half the joint's range.
+        speed: Margin of the joint speeds: smallest remaining share of a joint's velocity limit.
+        limited_by: The margin that is smallest, in words, with the joint and the position along the motion.
     """
 
     margin: float
@@ -261,16 +269,16 @@ class Margins(NamedTuple):
 def node_margins(
     stations: Stations, q: Postures, station: np.ndarray
 ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
-    """Return margins of postures at stations.
+    """Compute margins of single configurations, without joint speeds.
 
     Args:
         stations: The motion.
-        q: Postures (n, nv) [rad or m].
-        station: Number of the station of each posture (n,).
+        q: Joint positions (n, nv) [rad or m].
+        station: Index (n,) of the station of each configuration.
 
     Returns:
-        Margin of the weakest direction, margin of the joint nearest to a limit, and log of the manipulability of the
-        held and driven rows, each (n,).
+        Margin of the weakest direction, margin of the joint nearest to a position limit, and log of the manipulability
+        of the held and driven rows, shape (n,) each.
     """
     least_log = -50.0  # smallest log of mu, at a singularity: e^-50 is far below rounding errors
     A = stations.matrices(q, station)
@@ -282,14 +290,15 @@ def node_margins(
 
 
 def slack(stations: Stations, q: Postures) -> Postures:
-    """Return the remaining share of half of each joint's range.
+    """Return the distance of each joint to its nearest position limit, as a share of half of its range.
 
     Args:
-        stations: The motion.
-        q: Postures (n, nv) [rad or m].
+        stations: The motion, with the limits.
+        q: Joint positions (n, nv) [rad or m].
 
     Returns:
-        Array (n, nv); 1 for joints without limits, or that do not move the hand.
+        Shares (n, nv): 1 in the middle of the range, 0 at a limit; 1 for joints without limits or that do not move the
+        hand.
     """
     low, high = stations.limits.robot.position_lower, stations.limits.robot.position_upper
     with np.errstate(invalid="ignore"):
@@ -298,12 +307,12 @@ def slack(stations: Stations, q: Postures) -> Postures:
 
 
 def margin_of(motion: FreeDirection, rollout: Rollout, begins: float | None, robot: Robot) -> float | None:
-    """Return the margin of a motion as it was simulated.
+    """Return the margin of a simulated motion.
 
     Args:
         motion: The motion.
-        rollout: Its rollout.
-        begins: Time at which the hand was at the mechanism [s]; None if it never was.
+        rollout: Simulated rollout of the motion.
+        begins: Time in the rollout at which the hand reached the mechanism [s]; None if it did not.
         robot: Robot whose limits apply.
 
     Returns:
@@ -322,11 +331,11 @@ def margin_of(motion: FreeDirection, rollout: Rollout, begins: float | None, rob
 
 
 def path_margins(stations: Stations, q: Postures) -> Margins:
-    """Return the margins of a whole motion.
+    """Compute the margins of a joint path.
 
     Args:
         stations: The motion.
-        q: Postures (k, nv) at the first k stations [rad or m].
+        q: Joint positions (k, nv) at the first k stations [rad or m].
     """
     k, names = np.arange(len(q)), stations.limits.robot.joint_names
     weakest, ranges = node_margins(stations, q, k)[0], slack(stations, q)

@@ -4,13 +4,16 @@ A demonstrated grasp, configuration and approach are feasible, and familiar to p
 to the start come first; the first with enough margin is followed, else the one with the largest. The search finds
 larger margins:
 
-1. Seeds: inverse kinematics from the start, from postures near it, and from random postures at three stations.
-2. Marches: each seed is propagated along the motion in both directions, without null-space motion. The march with the
-   largest of the smallest margins is used; among marches within 0.01 of it, the one with the largest mean log mu.
-3. Band: that march is relaxed as a whole, up the gradient of its smallest margins and towards straight joint motion.
+1. Seeds: inverse kinematics from the start, from configurations near it, and from random configurations, at three
+   stations.
+2. Candidates: each seed is propagated along the motion in both directions, without null-space motion. The candidate
+path
+   whose smallest margin is largest is used; among candidates within 0.01 of it, the one with the largest mean log mu.
+3. Relaxation: that path is improved as a whole, along the gradient of its smallest margins and towards straight joint
+   motion.
 
-A graph with edges between marches gains nothing: of 80 drawers the same 51 were planned, none with a margin larger by
-more than 0.02.
+A graph with edges between candidates gains nothing: of 80 drawers the same 51 were planned, none with a margin larger
+by more than 0.02.
 """
 
 from __future__ import annotations
@@ -40,11 +43,11 @@ Way = Float[np.ndarray, "L nv"]
 @final
 @dataclass(frozen=True, eq=False)
 class Candidate:
-    """Joint path of a motion.
+    """Joint path for a motion of the hand.
 
     Attributes:
         motion: Motion of the hand, from the grasp.
-        stations: Its stations.
+        stations: The same motion, discretised.
         path: Joint positions (L, nv) at the stations [rad or m].
         take: Recording that is followed; None without one.
     """
@@ -61,17 +64,17 @@ class Candidate:
 
 
 def demonstrated_grasps(takes: Sequence[Take], shown: Shown, features: Any) -> list[Float[np.ndarray, "4 4"]]:
-    """Return the grasp pose of each recording, at the current place of the fixtures.
+    """Return the grasp pose of each recording, moved with the fixtures if these were moved since.
 
-    If all contacts began at one place, each grasp is moved to that place along the mechanism.
+    If all contacts began at one position, each grasp is moved there along the mechanism.
 
     Args:
-        takes: Recordings.
-        shown: Demonstrated motion.
+        takes: Recordings of the motion.
+        shown: Summary of the demonstrated motion.
         features: Feature map of the hand.
 
     Returns:
-        Poses (4, 4), as the features give them [m].
+        One pose (4, 4) per recording, in the base frame or the reference frame of the features [m].
     """
     twist, mechanism = features.twist, shown.mechanism
     grasps = [take.moved @ twist.poses(take.along[:1])[0] for take in takes]
@@ -87,16 +90,17 @@ def demonstrated_grasps(takes: Sequence[Take], shown: Shown, features: Any) -> l
 
 
 def nearest_turn(robot: Robot, q: Float[np.ndarray, "n nv"], near: Float[np.ndarray, " nv"]) -> np.ndarray:
-    """Return the same postures shifted by whole turns of joints, the first nearest to another, as far as the limits
-    allow.
+    """Shift a joint path by whole turns of joints, so that its first configuration is nearest to a given one.
+
+    The shifted path stays within the joint limits.
 
     Args:
         robot: The robot.
-        q: Postures (n, nv) [rad or m].
-        near: Posture (nv,) [rad or m].
+        q: Joint positions (n, nv) along the path [rad or m].
+        near: Joint positions (nv,) that the first row should be near to [rad or m].
 
     Returns:
-        Array (n, nv).
+        Shifted joint positions (n, nv) [rad or m].
     """
     angles = np.array(robot.joint_units) == "rad"
     moved = q - np.where(angles, 2.0 * np.pi * np.round((q[:1] - near) / (2.0 * np.pi)), 0.0)
@@ -105,15 +109,15 @@ def nearest_turn(robot: Robot, q: Float[np.ndarray, "n nv"], near: Float[np.ndar
 
 
 def carry_hand(features: Any, q: Postures, moved: Float[np.ndarray, "4 4"]) -> Postures:
-    """Return postures with the hand carried along with its fixture, by Newton's method.
+    """Move the hand in recorded configurations together with a fixture that was moved, by inverse kinematics.
 
     Args:
         features: Feature map of the hand.
-        q: Postures (n, nv) [rad or m].
-        moved: Rigid motion (4, 4) of the fixture in the base frame, p' = R p + t [m].
+        q: Recorded joint positions (n, nv) [rad or m].
+        moved: Homogeneous matrix (4, 4) of the fixture's rigid motion p' = R p + t in the base frame [m].
 
     Returns:
-        Postures (n, nv).
+        Joint positions (n, nv) with the moved hand [rad or m].
     """
     n_parts = 4  # parts of the rigid motion, each within the convergence of Newton's method
     robot, turn = features.robot, rotation_vector(moved[:3, :3])
@@ -128,15 +132,15 @@ def carry_hand(features: Any, q: Postures, moved: Float[np.ndarray, "4 4"]) -> P
 def follow_recordings(
     motion: FreeDirection, takes: Sequence[Take], stations: Stations, positions: Float[np.ndarray, " nv"]
 ) -> Iterator[Candidate]:
-    """Yield joint paths from the current configuration, if the hand is on the mechanism, and from recordings.
+    """Yield joint paths that follow recordings, and one from the current configuration if the hand is on the mechanism.
 
-    Paths with enough margin come in the order of the recordings, then the others, the best first.
+    Paths with enough margin come first, in the order of the recordings; the others follow, the largest margin first.
 
     Args:
-        motion: The motion, as demonstrated.
-        takes: Recordings.
-        stations: Stations of that motion, with the limits and the joints that move the hand.
-        positions: Joint positions (nv,) before it [rad or m].
+        motion: The demonstrated motion.
+        takes: Recordings of the motion.
+        stations: The motion, discretised, with the limits and the joints that move the hand.
+        positions: Joint positions (nv,) before the motion [rad or m].
 
     Yields:
         Candidates, at most one with enough margin for each recording.
@@ -220,7 +224,9 @@ def _plain_path(at: Stations, hold: Float[np.ndarray, " nv"]) -> Way | None:
 
 
 def join_approach(path: Postures, start: Float[np.ndarray, " nv"], end: Float[np.ndarray, " nv"]) -> Way | None:
-    """Join a recorded approach to a start and an end; the differences at both ends fade along it.
+    """Deform a recorded approach so that it leads from the current configuration to a grasp configuration.
+
+    The deformation at each end fades along the path.
 
     Args:
         path: Recorded joint positions (k, nv) that lead to the grasp [rad or m].
@@ -228,8 +234,8 @@ def join_approach(path: Postures, start: Float[np.ndarray, " nv"], end: Float[np
         end: Grasp configuration (nv,) [rad or m].
 
     Returns:
-        Knots from the start to the end, from where the recording is nearest to the start; None if the recording moves
-        too little to be an approach.
+        Waypoints (n, nv) from `start` to `end`. The part of the recording before it is nearest to `start` is left out.
+        None if the recording moves too little to be an approach.
     """
     # share of the approach along which the differences fade; number of knots; smallest motion of a joint [rad or m] in
     # an approach, since a cut recording has none
@@ -251,14 +257,14 @@ def join_approach(path: Postures, start: Float[np.ndarray, " nv"], end: Float[np
 @final
 @dataclass(frozen=True, eq=False)
 class PathCandidates:
-    """Postures of P marches at L stations, as far as each of them comes.
+    """P candidate joint paths through L stations; each path ends at the first station that it cannot reach.
 
     Attributes:
-        stations: Stations of the motion.
-        start: Posture (nv,) before it [rad or m].
-        q: Postures (P, L, nv); not finite beyond the end of a march.
-        least: Margin (P, L) of each posture; -inf beyond the end of a march.
-        log_mu: Log of the manipulability (P, L) of each posture.
+        stations: The motion, discretised.
+        start: Joint positions (nv,) before the motion [rad or m].
+        q: Joint positions (P, L, nv) [rad or m]; not finite beyond the end of a path.
+        least: Margin (P, L) of each configuration; -inf beyond the end of a path.
+        log_mu: Log of the manipulability (P, L) of each configuration.
     """
 
     stations: Stations
@@ -268,10 +274,13 @@ class PathCandidates:
     log_mu: Float[np.ndarray, "P L"]
 
     def where(self, clear: Callable[[Float[np.ndarray, " nv"]], bool]) -> PathCandidates:
-        """Return these marches up to the last station at which their postures are clear.
+        """Cut each path off at its first configuration in collision.
 
         Args:
-            clear: Collision check.
+            clear: Function that returns True for joint positions (nv,) without collision.
+
+        Returns:
+            The shortened paths.
         """
         least = self.least.copy()
         for p, row in enumerate(self.q):
@@ -283,7 +292,7 @@ class PathCandidates:
 
     @cached_property
     def along(self) -> Float[np.ndarray, "P L"]:
-        """Smallest margin of each march from the first station up to each; -inf beyond its end."""
+        """Smallest margin of each path between the first station and each station (P, L); -inf beyond its end."""
         speed = np.abs(np.diff(self.q, axis=1)) / self.stations.limits.velocity
         steps = 1.0 - speed.max(axis=2, initial=0.0) / np.diff(self.stations.time)
         steps = np.where(np.isfinite(steps), steps, -np.inf)
@@ -291,27 +300,30 @@ class PathCandidates:
 
     @property
     def reached(self) -> int:
-        """Number of the last station that a march reaches from the first; -1 if no posture reaches the first."""
+        """Index of the last station that any path reaches from the first one; -1 if none reaches the first."""
         return int(np.isfinite(self.along).any(axis=0).sum()) - 1
 
     def begin_at_start(self, some: Int[np.ndarray, " k"]) -> Bool[np.ndarray, " k"]:
-        """Return True for marches whose grasp configuration is the start.
+        """Return whether the grasp configuration of paths is the start, so that no approach is needed.
 
         Args:
-            some: Numbers of the marches (k,).
+            some: Indices (k,) of the paths.
+
+        Returns:
+            Mask (k,).
         """
         return np.max(np.abs(self.q[some, 0] - self.start), axis=1, initial=0.0) < ARRIVED
 
     def choices(self, last: int) -> Int[np.ndarray, " k"]:
-        """Return the numbers of the marches that reach a station, the best first, without similar ones.
+        """Return the paths that reach a station, the best first, without paths with similar grasp configurations.
 
-        Marches with the demonstrated orientation of the grasp come first, and a march from the start before equal ones.
+        Paths with the demonstrated orientation of the grasp come first, and a path from the start before equal ones.
 
         Args:
-            last: Number of the station.
+            last: Index of the station.
 
         Returns:
-            Numbers (k,).
+            Indices (k,) of the paths.
         """
         # [rad or m] smallest difference of two choices, in one joint; margins that differ by less are equal, and the
         # manipulability decides
@@ -332,16 +344,16 @@ class PathCandidates:
 def propagate_candidates(
     stations: Stations, start: Float[np.ndarray, " nv"], number: int, rng: np.random.Generator
 ) -> PathCandidates:
-    """Draw seeds and propagate them along the whole motion.
+    """Draw random seeds and propagate each along the whole motion.
 
     Args:
-        stations: Stations of the motion.
+        stations: The motion, discretised.
         start: Joint positions (nv,) before the motion [rad or m].
         number: Number of seeds.
         rng: Source of random numbers.
 
     Returns:
-        Marches of all seeds that reach their station.
+        One candidate path for each seed that inverse kinematics moves to its station.
     """
     q, station = draw_seeds(stations, start, number, rng)
     if stations.grip is not None:  # seeds at the first station: try the demonstrated orientation first
@@ -365,16 +377,18 @@ def propagate_candidates(
 def draw_seeds(
     stations: Stations, start: np.ndarray, number: int, rng: np.random.Generator
 ) -> tuple[Postures, Int[np.ndarray, " n"]]:
-    """Draw the seeds: the start, postures near it, for an arm that is shut in, and random ones.
+    """Draw the initial configurations of the search: the start, configurations near it, and random ones.
+
+    Configurations near the start are for an arm that is surrounded by obstacles.
 
     Args:
-        stations: Stations of the motion.
+        stations: The motion, discretised.
         start: Joint positions (nv,) before the motion [rad or m].
         number: Number of seeds.
         rng: Source of random numbers.
 
     Returns:
-        Postures (n, nv) and the number of the station of each.
+        Joint positions (n, nv) [rad or m], and the index (n,) of the station to which each is to be moved.
     """
     spread = 0.5  # [rad or m] standard deviation of an eighth of the seeds, around the start
     robot = stations.limits.robot  # a joint without limits is within a turn
@@ -387,15 +401,15 @@ def draw_seeds(
 
 
 def distance_to_grasp(stations: Stations, start: Float[np.ndarray, " nv"], rng: np.random.Generator) -> float:
-    """Return the smallest distance of the hand from the grasp, from 64 random postures.
+    """Return how near the hand can come to the grasp, by inverse kinematics from 64 random configurations.
 
     Args:
-        stations: Stations of the motion.
+        stations: The motion, discretised.
         start: Joint positions (nv,) before the motion [rad or m].
         rng: Source of random numbers.
 
     Returns:
-        Distance [m].
+        Smallest distance of the hand's position from the grasp [m].
     """
     q, station = draw_seeds(stations, start, 192, rng)
     q, _ = stations.onto(q[station == 0], station[station == 0], SEED_STEPS)
@@ -405,14 +419,14 @@ def distance_to_grasp(stations: Stations, start: Float[np.ndarray, " nv"], rng: 
 def march(
     stations: Stations, table: Float[np.ndarray, "P L nv"], some: Int[np.ndarray, " n"], k: int, sense: int
 ) -> None:
-    """Advance some marches from station k to the end of the motion in one direction, as far as each of them comes.
+    """Propagate candidate paths from one station to the end of the motion, each as far as inverse kinematics succeeds.
 
     Args:
-        stations: Stations of the motion.
-        table: Postures (P, L, nv), filled in place; not finite beyond the end of a march.
-        some: Numbers of the marches (n,).
-        k: Number of the first station.
-        sense: 1 forward, -1 backward.
+        stations: The motion, discretised.
+        table: Joint positions (P, L, nv) of all paths [rad or m], filled in place; not finite beyond the end of a path.
+        some: Indices (n,) of the paths to propagate; these have a configuration at station k.
+        k: Index of the first station.
+        sense: 1 for forward, -1 for backward along the motion.
     """
     while 0 <= k + sense < len(stations) and len(some):
         q, k = table[some, k], k + sense
@@ -423,15 +437,15 @@ def march(
 
 
 def relax(stations: Stations, q: Postures, *, pinned: bool = False) -> Postures:
-    """Return a path with a larger smallest margin and a straighter joint motion.
+    """Improve a joint path: increase its smallest margin and straighten the joint motion.
 
     Args:
-        stations: Stations of the motion, or of its beginning.
-        q: Postures (k, nv), one at each station [rad or m].
-        pinned: True to keep the first posture.
+        stations: The motion, discretised, or its beginning.
+        q: Joint positions (k, nv), one row per station [rad or m].
+        pinned: True to keep the first configuration.
 
     Returns:
-        Postures (k, nv) at the same stations.
+        Improved joint positions (k, nv) at the same stations [rad or m].
     """
     # [rad or m] first step up the gradient, of the joint that moves most, and step at which the relaxation ends
     first_rise, least_rise = 0.05, 1e-3
@@ -460,14 +474,16 @@ def relax(stations: Stations, q: Postures, *, pinned: bool = False) -> Postures:
 
 
 def soft_margin(stations: Stations, q: Postures) -> tuple[float, Postures, float]:
-    """Return a smooth lower bound of the smallest margin, -log sum exp(-c m) / c over all of them, with its gradient.
+    """Compute a smooth lower bound of the smallest margin of a joint path, and its gradient.
+
+    With all margins m and a constant c, the bound is -log(sum of exp(-c m)) / c.
 
     Args:
-        stations: Stations of the motion, or of its beginning.
-        q: Postures (k, nv), one at each station [rad or m].
+        stations: The motion, discretised, or its beginning.
+        q: Joint positions (k, nv), one row per station [rad or m].
 
     Returns:
-        Bound, its gradient (k, nv), and the smallest margin of the joint ranges and speeds.
+        Bound, its gradient (k, nv), and the exact smallest margin of the joint ranges and speeds.
     """
     sharpness = 60.0  # sharpness of the soft minimum: margins a sixtieth apart differ e-fold in weight
     limits = stations.limits

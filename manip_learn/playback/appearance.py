@@ -37,9 +37,9 @@ class TreeJoint(NamedTuple):
     Attributes:
         name: Name in the URDF.
         parent: Index of the parent joint; the world is 0.
-        placement: shape (4, 4), from the joint at rest to its parent [m].
-        motion: `"revolute"` and `"prismatic"` move along `axis` by one number; `"free"` has a whole pose of seven
-            numbers (x, y, z, quaternion x, y, z, w); only the world is `"fixed"`.
+        placement: Pose (4, 4) of the joint at position 0, in the frame of its parent joint [m].
+        motion: `"revolute"` and `"prismatic"` joints move about or along `axis` by one number; a `"free"` joint has a
+            pose of seven numbers (x, y, z, quaternion x, y, z, w); only the world is `"fixed"`.
         axis: shape (3,), unit vector in the joint's own frame; zero for `"free"` and `"fixed"`.
     """
 
@@ -52,7 +52,7 @@ class TreeJoint(NamedTuple):
 
 @lru_cache(maxsize=8)  # robots do not change, and a live view needs the tree for each picture
 def kinematic_tree(robot: Robot) -> tuple[TreeJoint, ...]:
-    """Return the joints of a robot, parents first; entry 0 is the world.
+    """Return the joints of a robot, parents before their children; entry 0 is the world.
 
     Args:
         robot: The robot.
@@ -68,19 +68,20 @@ def kinematic_tree(robot: Robot) -> tuple[TreeJoint, ...]:
 
 
 def joint_tracks(robot: Robot, postures: Float[np.ndarray, "K n"]) -> Float[np.ndarray, "K w"]:
-    """Return the values that move the joints of the tree, for each posture (see `TreeJoint.motion`).
+    """Return the numbers that place each joint of the kinematic tree, for each configuration.
 
-    Angles of continuous joints are unwrapped, so that a motion between two key frames takes the shorter direction.
+    `TreeJoint.motion` says how many numbers a joint has. Angles of continuous joints are unwrapped, so that the motion
+    between two key frames takes the shorter direction.
 
     Args:
         robot: The robot.
         postures: Joint configurations (K, nq) or positions (K, nv) [rad or m].
 
     Returns:
-        shape (K, w), joint after joint [rad or m, quaternions].
+        shape (K, w), with the numbers of all joints in the order of `kinematic_tree` [rad, m, or quaternions].
 
     Raises:
-        ConfigurationError: A posture of the wrong size or with NaN.
+        ConfigurationError: A configuration has the wrong size or NaN.
     """
     model, columns = robot.pinocchio_model, [np.zeros((len(postures), 0))]
     full = np.array([robot.pinocchio_configuration(q) for q in postures])
@@ -102,17 +103,17 @@ def joint_tracks(robot: Robot, postures: Float[np.ndarray, "K n"]) -> Float[np.n
 @final
 @dataclass(frozen=True, eq=False)
 class Shape:
-    """One drawn body.
+    """Shape that is drawn as part of a robot.
 
     Attributes:
         joint: Index of its joint in the kinematic tree; 0 is the world.
-        kind: Geometry.
-        size: [m]: box (x, y, z); sphere (radius); cylinder and disc (radius, length); mesh: none. All are centred at
-            their origin, round shapes with their axis along z.
-        pose: shape (4, 4), from the shape to the joint's frame [m].
-        colour: Red, green, blue, opacity, 0 to 1.
-        accent: True if it takes the colour of its rollout.
-        mesh: Index in `Appearance.meshes`, or None.
+        kind: Type of geometry.
+        size: Dimensions [m]: (x, y, z) of a box; (radius,) of a sphere; (radius, length) of a cylinder or disc; empty
+            for a mesh. Shapes are centred at their origin; the axis of round shapes is z.
+        pose: Pose (4, 4) of the shape in the joint's frame [m].
+        colour: Red, green, blue, opacity, each 0 to 1.
+        accent: True if it is drawn in the colour of its rollout.
+        mesh: Index in `Appearance.meshes`; None for other shapes.
     """
 
     joint: int
@@ -124,7 +125,7 @@ class Shape:
     mesh: int | None = None
 
     def half_extent(self) -> Float[np.ndarray, " 3"]:
-        """Return half the sides of a box around the shape, in its frame [m]; zero for meshes, which have their own."""
+        """Return half the side lengths (3,) of the shape's bounding box, in its frame [m]; zeros for a mesh."""
         width, *more = self.size or (0.0,)
         if len(self.size) == 3:
             return np.array(self.size) / 2.0
@@ -133,11 +134,11 @@ class Shape:
 
 @final
 class Appearance(NamedTuple):
-    """Appearance of a robot.
+    """Shapes with which a robot is drawn.
 
     Attributes:
         shapes: All drawn shapes.
-        meshes: The triangle meshes that shapes refer to.
+        meshes: The triangle meshes to which shapes refer by index.
         notes: Differences from the URDF's visuals, in sentences.
     """
 
@@ -147,19 +148,20 @@ class Appearance(NamedTuple):
 
 
 def shells(robot: Robot, own: Sequence[Shape], joints: Collection[int], meshes: list[Mesh]) -> list[Shape]:
-    """Return shells around the bones of links, with rings at the joints, and the plain shapes that no shell replaces.
+    """Generate smooth shells for links without meshes, with rings at the joints.
 
-    A shell replaces plain shapes that a bone passes through, unless they are thicker than links; it takes their
-    thickness and their colour.
+    A shell encloses the lines between the joints of a link. It replaces simple shapes (boxes, cylinders, spheres) that
+    such a line passes through, unless they are too thick for a link, and has their thickness and colour. Other shapes
+    are kept.
 
     Args:
         robot: The robot.
-        own: Plain shapes of its description.
+        own: Simple shapes of the robot's description.
         joints: Indices of the joints whose shapes are returned.
         meshes: List to which the meshes of the shells are appended.
 
     Returns:
-        The shapes.
+        Shells, rings, and the shapes that are kept.
     """
     model, usual = robot.pinocchio_model, link_radii(robot.pinocchio_model)
     radius, colours, rest, hands = usual.copy(), [PLAIN] * model.njoints, list(own), dict[int, np.ndarray]()
@@ -224,7 +226,7 @@ def _hub(
 
 
 def appearance(robot: Robot, max_triangles: int = 50_000) -> Appearance:
-    """Return the robot's own meshes and other shapes, or shells if it has no usable meshes.
+    """Return the shapes with which a robot is drawn: its own meshes and shapes, or shells if it has no usable meshes.
 
     Args:
         robot: The robot.
@@ -232,7 +234,7 @@ def appearance(robot: Robot, max_triangles: int = 50_000) -> Appearance:
             such arms with shadows are drawn at 60 frames per second.
 
     Returns:
-        Shapes, meshes and notes.
+        The appearance.
     """
     visuals = visual_shapes(robot)
     notes = [] if robot.source is None else list(losses(visuals))
@@ -277,8 +279,8 @@ class Body(NamedTuple):
 
     Attributes:
         distance: Function from points (P, 3) to their signed distances (P,) from the body [m].
-        low: shape (3,), and `high`: corners of a box around it [m].
-        radius: Smallest radius [m].
+        low, high: Opposite corners (3,) of the bounding box [m].
+        radius: Smallest radius of the body [m].
     """
 
     distance: Distance
@@ -313,12 +315,12 @@ def rod(ends: Float[np.ndarray, "2 3"], radii: tuple[float, float]) -> Body:
 
 
 def barrel(pose: Float[np.ndarray, "4 4"], radius: float, half: float) -> Body:
-    """Return a cylinder with rounded edges along the z axis of its pose.
+    """Return a cylinder with rounded edges, whose axis is the z axis of its pose.
 
     Args:
-        pose: shape (4, 4), centre and axis [m].
+        pose: Pose (4, 4) of its centre [m].
         radius: Radius [m].
-        half: Half its length [m].
+        half: Half of the length [m].
     """
     edge = 0.35 * min(radius, half)
     reach = np.abs(pose[:3, :3]) @ np.array([radius, radius, half])
@@ -416,16 +418,16 @@ def _means(groups: Int[np.ndarray, " P"], points: Points) -> Float[np.ndarray, "
 
 
 def decimate(meshes: list[Mesh], triangles: int) -> tuple[list[Mesh], int, int]:
-    """Reduce meshes until they have at most a number of triangles together.
+    """Simplify meshes until their total number of triangles does not exceed a budget.
 
-    Large meshes lose more triangles than small ones, and no mesh becomes unrecognisable while the budget allows it.
+    Large meshes lose more triangles than small ones; each mesh keeps enough to be recognised if the budget allows it.
 
     Args:
         meshes: The meshes.
         triangles: Largest number of triangles of all meshes together.
 
     Returns:
-        The meshes, and their triangles before and after.
+        The simplified meshes, and the total number of triangles before and after.
     """
     # merge coincident vertices: STL files repeat each of them six times
     clean = [_joined(m, max(1e-6 * float(np.ptp(m.vertices, axis=0).max()), 1e-12)) for m in meshes]

@@ -42,7 +42,9 @@ self.addEventListener("fetch", (event) => {
 
 
 class LiveServer(ThreadingHTTPServer):
-    """Server of one page, one stream of slots and some files for browsers on this machine; slow readers skip lines.
+    """HTTP server for browsers on this machine, with one page, a stream of messages, and files to download.
+
+    Messages have slots (names); a page that reads slowly misses older messages of a slot.
 
     Args:
         page: HTML of the page.
@@ -64,11 +66,11 @@ class LiveServer(ThreadingHTTPServer):
         self.output_lock = threading.RLock()  # for stdout
 
     def put(self, slot: bytes, line: bytes) -> None:
-        """Replace the content of a slot.
+        """Set the newest message of a slot, which is sent to all pages.
 
         Args:
-            slot: Its name, which is the event name in the page; `files` for the offered files.
-            line: Its content, one line of JSON.
+            slot: Name of the slot, which is the event name in the page; `files` for the files to download.
+            line: The message, one line of JSON.
         """
         if slot == b"files":
             self.files = json.loads(line)
@@ -80,17 +82,18 @@ class LiveServer(ThreadingHTTPServer):
             self.changed.notify_all()
 
     def send(self, message: object) -> None:
-        """Write a line to the program, waiting until it is taken.
+        """Write a message to the program that started this process, and wait until it is read.
 
         Args:
-            message: Values for JSON.
+            message: JSON values.
         """
         with self.output_lock:
             print(json.dumps(message), flush=True)
 
     def send_pages(self) -> None:
-        """Write the ids of the open pages to the program; a page that reconnects before its first stream ends counts
-        once.
+        """Write the ids of the open pages to the program that started this process.
+
+        A page that reconnects before its first stream ends is listed once.
         """
         with self.output_lock:
             self.send({"pages": list(dict.fromkeys(self.streams))})
@@ -218,7 +221,7 @@ class _Handler(SimpleHTTPRequestHandler):
 
 
 def end_with_parent(parent: int) -> None:
-    """Exit this process when its parent is gone, even if another process keeps our stdin open.
+    """Exit this process when its parent has ended, even if another process keeps its stdin open.
 
     Args:
         parent: Process id of the parent.

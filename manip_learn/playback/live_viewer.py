@@ -43,19 +43,20 @@ MESH = "TriangularMeshGeometry"
 
 @final
 class LiveProcess:
-    """Server process with a thread that writes to it and a thread that reads messages of its pages.
+    """Server process of a live page, with a thread that writes messages to it and a thread that reads its messages.
 
-    Messages have slots. The pages get the newest message of each slot, and a page that opens later gets all of them at
-    once. `put` never waits: the writing thread sends the newest messages at the frame rate of a screen, and only this
-    thread waits if the server is slow. Messages are written in the order in which they were put. If a callback of the
-    program fails, the error is logged once and everything else continues.
+    Each message has a slot (a name). Pages receive the newest message of each slot; a page that opens later receives
+    the newest ones of all slots at once. `put` never waits: the writing thread sends the newest messages at the frame
+    rate of a screen, and only this thread waits if the server is slow. Messages are sent in the order in which they
+    were put. If a callback fails, the error is logged once and the server continues.
 
     Args:
-        make_page: Token -> the page to serve.
+        make_page: Function that takes the token, the secret part of the address, and returns the HTML of the page.
         timeout: Largest start-up time of the server [s].
-        heard: Callback in a thread of its own, for one line after the other: `{"page": id, "said": {...}}` when a page
-            posts a message, and `{"pages": [ids]}` when one opens or closes: the ids of the open pages, oldest first.
-            It is not called after `close` has returned, unless one call takes longer than 2 s. None: pages cannot post.
+        heard: Callback for messages from pages, called in a thread of its own with one dictionary at a time: `{"page":
+            id, "said": {...}}` when a page posts a message, `{"pages": [ids]}` with the ids of the open pages, oldest
+            first, when a page opens or closes. It is not called after `close` has returned, unless one call takes
+            longer than 2 s. None: pages cannot post.
         frames_per_second: Largest rate at which the newest messages are written; the default is the rate of most
             screens.
 
@@ -102,11 +103,11 @@ class LiveProcess:
         return self._process.poll() is None
 
     def put(self, message: Callable[[], str], slot: str = "message") -> None:
-        """Set the newest message of a slot; returns at once.
+        """Send a message to the pages, as the newest one of its slot; the call returns at once.
 
         Args:
-            message: Function that returns one line of JSON; it runs in the writing thread.
-            slot: A word, the name of the event in the page; `message` is the unnamed event.
+            message: Function that returns one line of JSON; it is called in the writing thread.
+            slot: Name of the event in the page, one word; `"message"` for the unnamed event.
         """
         with self._lock:
             self._newest.pop(slot, None)  # so that it moves to the end
@@ -114,10 +115,11 @@ class LiveProcess:
         self._wake.set()
 
     def offer(self, files: Mapping[str, Path]) -> None:
-        """Serve files for download under `files/NAME`; they replace the files offered before.
+        """Serve files for download under `files/NAME`, instead of the files of an earlier call.
 
         Args:
-            files: Name -> file. A file that is missing at the request is reported as not found.
+            files: Mapping from names to files. A file that does not exist when it is requested is reported as not
+                found.
         """
         line = json.dumps({f"files/{name}": str(path.absolute()) for name, path in files.items()})
         self.put(lambda: line, "files")
@@ -125,8 +127,8 @@ class LiveProcess:
     def open_in_browser(self) -> None:
         """Open the page in a browser.
 
-        The browser gets a redirecting file that only this user may read, because its command line is visible to all
-        users.
+        The browser opens a file that only this user may read and that redirects to the page, because its command line,
+        and thus the secret address, would be visible to all users.
         """
         file = Path(self._at_end.enter_context(TemporaryDirectory(prefix="manip_learn_"))) / "page.html"
         file.write_text(f'<meta http-equiv="refresh" content="0; url={self.url}">')
@@ -190,16 +192,16 @@ class LiveViewer(contextlib.AbstractContextManager["LiveViewer"]):
                 viewer.show(q, manipulability=command.manipulability)
 
     The page is served by a process of its own, on this machine only (127.0.0.1) and under an address that cannot be
-    guessed. `show` never waits for it; if the process dies, the program continues without it. The process ends when the
-    viewer is closed, and when the program ends for any reason.
+    guessed. `show` never waits for this process, and the program continues if the process dies. The process ends when
+    the viewer is closed, and when the program ends for any reason.
 
     Args:
         robot: The robot.
-        constraint: A learnt constraint: its mechanism is drawn in the robot's base frame, or its held directions at the
-            tip.
-        target: Target of the constraint's task, as from `Task.goal`.
+        constraint: Learnt constraint, whose mechanism is drawn in the robot's base frame, or else its held directions
+            at the tip; None for none.
+        target: Target of the constraint's task, as returned by `Task.goal`; None for none.
         title: Name in the legend; default: the name of the robot.
-        open_browser: True to open the page now; it is at `url` in any case.
+        open_browser: True to open the page at once; in both cases its address is `url`.
         timeout: Largest start-up time of the server [s].
 
     Attributes:
@@ -239,11 +241,11 @@ class LiveViewer(contextlib.AbstractContextManager["LiveViewer"]):
 
         Args:
             q: Joint configuration (nq,) or positions (nv,) [rad or m].
-            manipulability: mu(q), for the curve; None for no curve.
+            manipulability: Manipulability mu(q) to plot as a curve; None for no curve.
             time: Time [s]; None for the time since the viewer was created.
 
         Raises:
-            ConfigurationError: Wrong size, NaN or infinity.
+            ConfigurationError: q has the wrong size, or contains NaN or infinity.
         """
         robot = self._robot
         posture = np.array(robot.configuration(q))  # a copy: the caller may change its own array
@@ -275,9 +277,9 @@ def show(
 ) -> Callable[[ArrayLike], None]:
     """Draw a robot, a constraint and its demonstrated motion in a meshcat viewer.
 
-    Everything is below the path `manip_learn` of the viewer and replaces the drawing of an earlier call: `arm`,
-    `mechanism` (the line, circle, plane or curve), `path` (of the most typical recording along it), `grasps` (the grasp
-    points of the recordings) and `target` (the end of that path).
+    The drawing has the path `manip_learn` in the viewer's scene tree, and replaces the drawing of an earlier call. Its
+    parts are `arm`, `mechanism` (line, circle, plane or curve), `path` (of the most typical recording along the
+    mechanism), `grasps` (grasp points of the recordings) and `target` (end of that path).
 
     Args:
         robot: The robot.
@@ -290,7 +292,7 @@ def show(
         The function `show(q)`, which moves the arm to a configuration or joint positions.
 
     Raises:
-        ConfigurationError: A viewer of another kind or of another robot, or a configuration of the wrong size.
+        ConfigurationError: The viewer is of another kind or of another robot, or `q` has the wrong size.
 
     Example:
         >>> import meshcat  # doctest: +SKIP

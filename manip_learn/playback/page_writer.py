@@ -1,4 +1,4 @@
-"""Writer of one self-contained page: meshcat's viewer, our program and the data, without network access."""
+"""Write one self-contained HTML page: meshcat's viewer, our program and the data, without network access."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ _FOLDER = Path(__file__).with_name("page")
 
 
 def to_base64(array: np.ndarray, dtype: str) -> str:
-    """Return the array's numbers in base64, row by row.
+    """Return the numbers of an array in base64, row by row.
 
     Args:
-        array: Any numbers, including NaN.
+        array: Array of numbers; NaN is allowed.
         dtype: Little-endian NumPy type: `"<f8"`, `"<f4"`, `"<u4"`, `"<u2"` or `"i1"`.
     """
     return base64.b64encode(np.ascontiguousarray(array, dtype=dtype).tobytes()).decode("ascii")
@@ -34,11 +34,11 @@ def to_base64(array: np.ndarray, dtype: str) -> str:
 @final
 @dataclass(frozen=True)
 class PageKind:
-    """Source files of a kind of page.
+    """Kind of page: its source files and its network access.
 
     Attributes:
-        mode: `"replay"` has no network access; `"live"` may receive data from its own server, and other kinds may also
-            send to it.
+        mode: `"replay"` for no network access; `"live"` to receive data from its own server; another name to send to it
+            too.
         style: Style sheets.
         program: Parts of the program in order.
         markup: HTML between the picture and the curves.
@@ -62,10 +62,10 @@ LIVE = replace(REPLAY, mode="live")
 def render_page(data: dict[str, Any], *, robot: str, subtitle: str, kind: PageKind = REPLAY) -> str:
     """Return the HTML of a replay, of a live view, or of another kind of page.
 
-    Names are escaped; and even a name that was not escaped could not run, because only scripts with a listed hash run.
+    Names are escaped. A content security policy also prevents names from running as scripts.
 
     Args:
-        data: Data for the program; finite numbers and text.
+        data: Data for the JavaScript program: finite numbers and text.
         robot: Headline.
         subtitle: Text next to it.
         kind: Source files and network access of the page.
@@ -90,10 +90,12 @@ def render_page(data: dict[str, Any], *, robot: str, subtitle: str, kind: PageKi
 
 
 def json_in_html(data: object) -> str:
-    """Return JSON for a script element: without `<`, so that nothing in it can close the element, and without NaN.
+    """Return JSON text that can be embedded in an HTML script element.
+
+    It contains no `<`, so that no text can close the element, and no NaN.
 
     Args:
-        data: Values for JSON.
+        data: JSON values.
     """
     text = json.dumps(data, allow_nan=False, separators=(",", ":"))
     return text.replace("&", "\\u0026").replace("<", "\\u003c").replace(">", "\\u003e")
@@ -131,10 +133,10 @@ def _meshcat(name: str) -> str:
 
 @cache
 def viewer_script() -> str:
-    """Return meshcat's bundled viewer.
+    """Return the JavaScript text of meshcat's bundled viewer.
 
     Raises:
-        OutputError: It is missing, or its text cannot be embedded in a page.
+        OutputError: The viewer is missing, or its text cannot be embedded in a page.
     """
     text = _meshcat("dist/main.min.js").replace("\0", "")
     if "</script" in text.lower() or "<!--" in text:
@@ -146,7 +148,7 @@ def viewer_script() -> str:
 def third_party_notices() -> str:
     """Return the licences of the viewer and of the packages bundled with it (three.js, dat.gui, ...).
 
-    Every copy includes them: a page has them in its source, and the wheel in its folder of licences.
+    Every copy of the viewer includes them: pages in their source, and the wheel in its folder of licences.
     """
     notices = [f"meshcat's viewer\n\n{_meshcat('LICENSE').strip()}"]
     for part in json.loads(_meshcat("dist/main.min.js.THIRD_PARTY_LICENSES.json")):
@@ -188,7 +190,7 @@ def notebook_output(page: str) -> str:
         page: Output of `render_page`.
 
     Returns:
-        HTML with the page in a frame.
+        HTML with the page in an inline frame.
     """
     global _cell
     cell, viewer = _running_cell(), viewer_script()

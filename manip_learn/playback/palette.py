@@ -1,4 +1,4 @@
-"""Colours of rollouts, of the phases of recordings (one colour per constraint) and of a rollout's own phases.
+"""Colours of rollouts, of the phases of recordings (one colour per constraint), and of the phases of rollouts.
 
 The colours are distinguishable with colour blindness (after Okabe and Ito); lines in them have a contrast of 3:1 on
 white and black.
@@ -36,16 +36,16 @@ _CONSTRAINT_COLOURS = tuple(value for name, value in COLOURS.items() if name != 
 @final
 @dataclass(frozen=True)
 class PhaseKind:
-    """Meaning of a colour of the bands.
+    """Kind of phase, with the colour of its bands in the page.
 
     Attributes:
         label: Name in the legend, e.g. `"constraint 1: line"` or `"free motion"`.
         mark: Number or word on the bands, so that they differ not only in colour; empty for free motion.
         colour: Hexadecimal value.
         ink: Colour of the mark, black or white, whichever has more contrast.
-        strength: Share of the colour in the drawing; the rest is the page's background. Below 1 the path of the tip is
-            thin.
-        constraint: Index of the constraint of a rollout's own phase, if the rollout has several.
+        strength: Share of the colour in the drawing, 0 to 1; the rest is the page's background. If it is below 1, the
+            path of the tip is thin.
+        constraint: Index of the constraint, for a phase of a rollout with several constraints; None otherwise.
     """
 
     label: str
@@ -60,9 +60,10 @@ class PhaseBand(NamedTuple):
     """Time span of a phase in a recording or rollout.
 
     Attributes:
-        start, end: Times on the recording's own clock, or from its first sample [s].
+        start, end: Times on the recording's own time axis, or from its first sample [s].
         constraint: Index of the constraint; None for free motion.
-        name: Name of a rollout's own phase, e.g. `"approach"` or `"line 2: approach"`; None for phases of constraints.
+        name: Name of a phase that a rollout contains, e.g. `"approach"` or `"line 2: approach"`; None for the phases of
+            recordings.
     """
 
     start: float
@@ -72,7 +73,7 @@ class PhaseBand(NamedTuple):
 
     @property
     def part(self) -> str:
-        """Action of a rollout's own phase, without the name of its mechanism: `"approach"`, `"hold"`, `"way"`."""
+        """Last part of a rollout phase's name, without the name of the mechanism: `"approach"`, `"hold"` or `"way"`."""
         return (self.name or "").rpartition(": ")[2]
 
     def covers(self, time: Float[np.ndarray, " T"]) -> Bool[np.ndarray, " T"]:
@@ -88,10 +89,10 @@ class PhaseBand(NamedTuple):
 
 
 def phase_kinds(phases: Sequence[Phase], names: Sequence[str] = ()) -> tuple[PhaseKind, ...]:
-    """Return the kinds of the constraints in order, then free motion.
+    """Return the kinds of phase of recordings: one per constraint, then free motion.
 
     Args:
-        phases: Phases, checked by `phase_bands`.
+        phases: Phases that `phase_bands` has checked.
         names: Name of each constraint, e.g. `"hinge"`; empty or missing if unknown.
 
     Returns:
@@ -106,19 +107,19 @@ def phase_kinds(phases: Sequence[Phase], names: Sequence[str] = ()) -> tuple[Pha
 
 
 def phase_bands(phases: Sequence[Phase], names: Sequence[str]) -> dict[str, tuple[PhaseBand, ...]]:
-    """Return the phases of each recording in order of time; phases of other recordings are left out.
+    """Check phases and sort them by recording and time; phases of recordings that are not in the page are left out.
 
     Args:
-        phases: (trajectory, start [s], end [s], constraint or None), as in `LearningReport.phases`; a reason may
-            follow.
+        phases: Tuples (name of the recording, start [s], end [s], index of the constraint or None for free motion,
+            optionally a reason), as in `LearningReport.phases`.
         names: Names of the recordings in the page.
 
     Returns:
-        Recording name -> its bands.
+        Dictionary from the name of a recording to its bands.
 
     Raises:
-        RecordingError: Not such a tuple, times that are not finite or in the wrong order, a constraint that is not a
-            number from 0 up, or no phase of any recording in the page.
+        RecordingError: A phase is no such tuple, its times are not finite or in the wrong order, its constraint is not
+            an index from 0 up, or no phase belongs to a recording in the page.
     """
     checked = [_checked(i, phase) for i, phase in enumerate(phases)]
     bands = {name: [band for whose, band, _ in checked if whose == name] for name in names}
@@ -130,17 +131,17 @@ def phase_bands(phases: Sequence[Phase], names: Sequence[str]) -> dict[str, tupl
 
 
 def rollout_bands(rollout: str, phases: Sequence[tuple[str, float, float]]) -> tuple[PhaseBand, ...]:
-    """Return a rollout's own phases in order of time.
+    """Check the phases that a rollout contains and sort them by time.
 
     Args:
-        rollout: Its name, for errors.
-        phases: (name, start [s], end [s]), as in `Rollout.phases`.
+        rollout: Name of the rollout, for error messages.
+        phases: Tuples (name, start [s], end [s]), as in `Rollout.phases`.
 
     Returns:
-        The bands, on the rollout's own clock.
+        The bands, on the rollout's own time axis.
 
     Raises:
-        RecordingError: Times that are not finite or in the wrong order.
+        RecordingError: Times are not finite or in the wrong order.
     """
     # a band has room for 40 characters
     bands = [(str(name)[:40], _checked(i, (rollout, *span, None))[1]) for i, (name, *span) in enumerate(phases)]
@@ -148,30 +149,32 @@ def rollout_bands(rollout: str, phases: Sequence[tuple[str, float, float]]) -> t
 
 
 def rollout_kinds(bands: Sequence[PhaseBand], colour: str) -> tuple[PhaseKind, ...]:
-    """Return the kinds of a rollout's own phases, by their names.
+    """Return the kinds of the phases that a rollout contains, one per name.
 
     Args:
-        bands: All of its bands.
+        bands: All bands of the rollout.
         colour: Colour of the rollout, hexadecimal.
 
     Returns:
-        The kinds; empty if the rollout has no own phases.
+        The kinds; empty if the rollout contains no phases.
     """
     by_name = {band.name: band for band in bands if band.name is not None}
     return tuple(_kind(name, name, colour, STRENGTHS.get(b.part, 1.0), b.constraint) for name, b in by_name.items())
 
 
 def phases_from_json(value: object) -> tuple[Phase, ...]:
-    """Parse phases from JSON: lists of four or five values, or objects with trajectory, start, end and constraint.
+    """Parse phases of recordings from JSON.
 
     Args:
-        value: The JSON value.
+        value: List of phases. Each is a list `[trajectory, start [s], end [s], index of the constraint or null for free
+            motion, reason (optional)]`, or an object with the keys `trajectory`, `start`, `end`, `constraint` and,
+            optionally, `reason`.
 
     Returns:
-        The phases.
+        The phases as tuples in the same order.
 
     Raises:
-        RecordingError: The value is anything else.
+        RecordingError: The value is no such list, or a phase has invalid times or an invalid constraint.
     """
     if not isinstance(value, list | tuple):
         raise _refusal(f"phases must be a list, got {type(value).__name__}")
@@ -213,11 +216,11 @@ def _kind(label: str, mark: str, colour: str, strength: float = 1.0, constraint:
 
 
 def rollout_colours(names: Sequence[str], chosen: Mapping[str, str], neutral: bool = False) -> list[tuple[str, str]]:
-    """Return the colour of each rollout; rollouts without a chosen colour take the unused ones in order.
+    """Return the colour of each rollout; rollouts without a chosen colour get the unused colours in order.
 
     Args:
         names: Names of the rollouts.
-        chosen: Rollout -> name of its colour.
+        chosen: Mapping from names of rollouts to names of colours.
         neutral: True to draw all rollouts without a chosen colour in grey, because colours have another meaning in this
             page.
 
@@ -225,7 +228,7 @@ def rollout_colours(names: Sequence[str], chosen: Mapping[str, str], neutral: bo
         (name of the colour, hexadecimal value) per rollout.
 
     Raises:
-        UnknownNameError: A colour that does not exist, or one chosen for a rollout that does not exist.
+        UnknownNameError: A chosen colour does not exist, or it is for a rollout that does not exist.
     """
     for rollout, colour in chosen.items():
         if rollout not in names:

@@ -1,4 +1,4 @@
-"""Motion to show, a rollout or a demonstration: its constraints, key frames, tip path, status, and curves over time.
+"""Prepare a rollout or a demonstration for playback: constraints, key frames, tip path, status, curves over time.
 
 A curve is thinned for a page, but keeps every minimum and maximum.
 """
@@ -39,13 +39,13 @@ class GuidedMotion(NamedTuple):
 
     Attributes:
         name: Name in the legend.
-        recording: The rollout or the recording itself, on its own clock.
-        samples: Its samples, joints in the robot's order, times from the first sample [s].
-        moving: The samples with known velocities: all, or fewer if the velocities were derived; None without any.
-        constraints: Constraints by their index in the phases, for a reproduced skill one per way; the first one applies
-            to a motion without phases. Empty if none is known.
-        target: Target of the task, as from `Task.goal`; None if it is not known.
-        phases: Bands of constraints within the motion, or a rollout's own.
+        recording: The rollout or the recording itself, on its own time axis.
+        samples: Its samples, with joints in the robot's order and times from the first sample [s].
+        moving: The samples with known velocities: all, or fewer if the velocities were derived; None if there are none.
+        constraints: Constraints, by their index in the phases (for a reproduced skill, one per motion along a
+            constraint). The first one applies to a motion without phases. Empty if none is known.
+        target: Target of the task, as returned by `Task.goal`; None if it is not known.
+        phases: Time spans of the constraints, or the phases that a rollout itself contains.
     """
 
     name: str
@@ -74,13 +74,14 @@ class GuidedMotion(NamedTuple):
         return stored if isinstance(stored, Mapping) else None
 
     def constraint_indices(self, time: Float[np.ndarray, " T"]) -> Int[np.ndarray, " T"]:
-        """Return the index of the constraint at each time: the constraint of its phase, else the first one.
+        """Return the index of the constraint that applies at each time.
 
         Args:
             time: Times (T,) from the first sample [s].
 
         Returns:
-            shape (T,); -1 where it is not known, and everywhere if the demonstrator drives the rows (b is not 0).
+            Indices (T,) from the phases, 0 for a motion without phases. -1 if no constraint is known at that time, and
+            everywhere if the demonstrator drives the rows (b is not 0).
         """
         is_imposed = self.constraint is None or self.constraint.provenance.get("kind") == "self-imposed"
         indices = np.full(time.size, -1 if is_imposed else 0)
@@ -103,16 +104,16 @@ def guided_motion(
         robot: Robot of the motion.
         name: Name in the legend.
         recording: A rollout or a recording.
-        constraint: One constraint, or one for each index in the phases; None for the rollout's own.
-        target: Target of the task, as from `Task.goal`; None for the rollout's own.
+        constraint: One constraint, or one for each index in the phases; None to use the rollout's own.
+        target: Target of the task, as returned by `Task.goal`; None to use the rollout's own.
 
     Returns:
-        The motion; its phases are empty.
+        The motion, with empty phases.
 
     Raises:
-        ConstraintMismatchError: A constraint of another robot.
-        RecordingError: No samples, shapes that do not fit, time that does not increase, NaN, another robot, or other
-            joints locked.
+        ConstraintMismatchError: The constraint belongs to another robot.
+        RecordingError: There are no samples, shapes do not fit, time does not increase, a number is NaN, the robot is
+            another one, or it has other locked joints.
         TargetError: The target is not finite numbers.
     """
     constraints = (constraint,) if isinstance(constraint, Constraint) else tuple(constraint or ())
@@ -170,14 +171,14 @@ def _track(kind: str, curves: Sequence[Curve], unit: str = "", without: Sequence
 
 
 def motion_tracks(robot: Robot, motion: GuidedMotion) -> list[dict[str, Any]]:
-    """Return the tracks of a motion over time, except manipulability and status.
+    """Return the quantities of a motion that the page plots over time, except manipulability and status.
 
     Args:
         robot: Robot of the motion.
         motion: The motion.
 
     Returns:
-        Tracks, see `_track`.
+        One dictionary per quantity (track): its `kind`, `unit` and `curves`, and the joints that are left out.
     """
     fastest, low, high = robot.velocity_limit, robot.position_lower, robot.position_upper
     limited = np.isfinite(fastest) & (fastest > 0.0)
@@ -236,17 +237,17 @@ def _violation(motion: GuidedMotion, moving: Trajectory) -> Float[np.ndarray, "U
 
 
 def track_data(tracks: Sequence[Mapping[str, Any]], most: int) -> dict[str, Any]:
-    """Return the tracks of one motion for the page.
+    """Convert the plotted quantities of a motion to data for the page.
 
     Curves with all of their samples share their times, in float64; thinned curves have their own times, because their
     extremes are at different samples. Values are float32.
 
     Args:
-        tracks: Tracks of one motion.
+        tracks: Quantities of one motion over time, see `motion_tracks`.
         most: Approximate largest number of points per curve.
 
     Returns:
-        Shared times (`clocks`) and tracks, ready for JSON.
+        Dictionary of JSON values: shared times (`clocks`) and tracks.
     """
     clocks = dict[str, int]()  # times -> index
 
@@ -269,7 +270,7 @@ def track_data(tracks: Sequence[Mapping[str, Any]], most: int) -> dict[str, Any]
 
 
 def extremes(values: Float[np.ndarray, " T"], most: int) -> Int[np.ndarray, " K"]:
-    """Return the samples of a thinned curve: first, last, and minimum and maximum of each of `most / 2` spans.
+    """Select samples of a curve to plot: first, last, and minimum and maximum of each of about `most / 2` time spans.
 
     Args:
         values: The curve (T,); NaN is a gap, and a span without any number keeps its first sample.
@@ -289,16 +290,16 @@ def extremes(values: Float[np.ndarray, " T"], most: int) -> Int[np.ndarray, " K"
 
 @final
 class RecordedMotion(NamedTuple):
-    """One motion, ready for the page. Times count from its first sample [s].
+    """Motion with all data that the page needs; times are counted from its first sample [s].
 
     Attributes:
-        motion: Its samples, its phases and its constraints.
+        motion: Samples, phases and constraints of the motion.
         postures: shape (K, n), joint positions of the key frames [rad or m].
         path_times: shape (P,), times along the tip path [s].
         path: shape (P, 3), positions of the tip in the base frame [m].
-        measures: Curves over time, see `motion_tracks`.
-        content: Further data for the page; `handles` has, for each fixture that a rollout moves, start and end of the
-            times at which the hand holds its handle [s].
+        measures: Quantities to plot over time, see `motion_tracks`.
+        content: Further data for the page. Its entry `handles` has, for each fixture that a rollout moves, the times at
+            which the hand grasps and releases the handle [s].
     """
 
     motion: GuidedMotion
@@ -323,16 +324,16 @@ def recorded_motion(
         robot: Robot of the motion.
         tip: Frame whose path is drawn.
         motion: The motion.
-        colour: Its colour, hexadecimal.
-        phases: Bands on the recording's own clock; empty for the rollout's own.
-        mechanism: Mechanism of a rollout whose constraint stores none.
+        colour: Hexadecimal colour of the motion, e.g. `"#0072b2"`.
+        phases: Phases on the recording's own time axis; empty to use the phases that a rollout contains.
+        mechanism: Dictionary of the mechanism, for a rollout whose constraint stores none; None if it is not known.
 
     Returns:
         The motion with its data for the page.
 
     Raises:
-        RecordingError: A manipulability, a status or phases that do not fit.
-        ConfigurationError: A posture of the wrong size.
+        RecordingError: Manipulability, status or phases do not fit the motion.
+        ConfigurationError: A configuration has the wrong size.
     """
     recording, name, time, q = motion.recording, motion.name, motion.samples.time, motion.samples.q
     keys = key_frames(time)
@@ -427,7 +428,7 @@ def clearance_in_words(around: Sequence[Mapping[str, Any]]) -> str:
     """Return the obstacles of a plan as text, e.g. "table (0.30 m from link1) as stated".
 
     Args:
-        around: Obstacles, as in `Rollout.around`.
+        around: One dictionary per obstacle, as in `Rollout.around`.
 
     Returns:
         The text; empty without obstacles.
@@ -441,14 +442,15 @@ def clearance_in_words(around: Sequence[Mapping[str, Any]]) -> str:
 
 
 def key_frames(time: Float[np.ndarray, " T"]) -> np.ndarray:
-    """Return the samples that are key frames: at most 60 per second, fewer in long motions, with the first and the
-    last.
+    """Select the samples that are key frames of the playback.
+
+    There are at most 60 per second, and fewer in long motions; the first and the last sample are among them.
 
     Args:
-        time: Times (T,) [s].
+        time: Times (T,) of the samples [s].
 
     Returns:
-        Indices, increasing.
+        Increasing indices of the samples.
     """
     gap = max(1.0 / 60.0, float(time[-1] - time[0]) / (MAX_KEY_FRAMES - 1))  # [s], frame period of most screens
     slots = np.floor((time - time[0]) / gap * (1.0 + 1e-12)).astype(np.int64)
@@ -456,15 +458,16 @@ def key_frames(time: Float[np.ndarray, " T"]) -> np.ndarray:
 
 
 def status_changes(name: str, time: Float[np.ndarray, " T"], words: Iterable[object]) -> list[tuple[float, str, str]]:
-    """Return time, word and effect of each status that differs from the one before it.
+    """Return the changes of the controller's status over time.
 
     Args:
-        name: Name of the rollout, for errors.
+        name: Name of the rollout, for error messages.
         time: Times (T,) [s].
         words: Status at each time; empty for no status.
 
     Returns:
-        (time [s], status, effect) per change; the effect of an unknown status is `"slowed"`.
+        Tuple (time [s], status, effect of the status on the motion) for each change; the effect of an unknown status is
+        `"slowed"`.
 
     Raises:
         RecordingError: The number of words differs from the number of times.

@@ -1,4 +1,4 @@
-"""Pages that play rollouts or recordings, with the evidence for the learnt constraint, and live pages."""
+"""Build HTML pages that play rollouts or recordings, with the evidence for the learnt constraint, and live pages."""
 
 from __future__ import annotations
 
@@ -40,15 +40,15 @@ Recording = Rollout | Trajectory
 
 
 def evidence_of(report: LearningReport | Mapping[str, Any]) -> dict[str, Any]:
-    """Return headline, the facts of `LearningReport.facts`, the evidence of each row, warnings and odd recordings.
+    """Return the evidence for a constraint as texts: headline, facts, evidence of each row, warnings, odd recordings.
 
-    Entries that the report lacks are left out, because constraint files of earlier versions contain fewer.
+    Entries that the report lacks are left out, because constraint files of earlier versions contain fewer entries.
 
     Args:
         report: `learner.report_`, or its dictionary, which a constraint file stores as provenance.
 
     Returns:
-        Texts for the page.
+        Dictionary of texts for the page.
     """
     content = report if isinstance(report, Mapping) else report.to_dict()
     odd, facts = _list(content.get("odd_trajectories")), content.get("facts")
@@ -102,8 +102,8 @@ class ReplayResult:
 
     Attributes:
         html: Path of the page.
-        bytes: Size of the page.
-        notes: Sentences about data that is not shown as it is; they are also in the page.
+        bytes: Size of the page in bytes.
+        notes: Sentences about data that the page shows differently or not at all; they are also in the page.
     """
 
     html: Path
@@ -111,7 +111,7 @@ class ReplayResult:
     notes: tuple[str, ...]
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the JSON output of `manip-learn replay`."""
+        """Return the attributes as a dictionary of JSON values, the output of `manip-learn replay`."""
         return vars(self) | {"html": str(self.html), "notes": list(self.notes)}
 
     def _repr_html_(self) -> str:
@@ -137,46 +137,50 @@ def replay(
     side_by_side: bool = False,
     align: Literal["start", "grasp"] = "start",
 ) -> ReplayResult:
-    """Write one HTML file that plays rollouts of a robot, without a server and without a network.
+    """Write one HTML file that plays rollouts or recordings of a robot, without a server and without a network.
 
-    The first rollout is drawn solid, the others as ghosts; all start at time zero, and the shorter ones hold their last
-    configuration. The page has the manipulability curves with a cursor, the controller's status, and the path of the
-    tip. With phases, the colours stand for the constraints, and only the first recording is drawn as a robot, the
-    others as tip paths. A rollout's own phases, e.g. of a plan, are bands below the curves instead, and its path is
-    thin and dashed until its way begins.
+    The first rollout is drawn solid, the others transparent. All start at time zero; shorter ones keep their last
+    configuration at the end. The page has the manipulability curves with a cursor, the controller's status, and the
+    path of the tip. With `phases`, colours show the constraints, and only the first recording is drawn as a robot, the
+    others as tip paths. Phases that a rollout itself contains, e.g. from a plan, are bands below the curves; its tip
+    path is thin and dashed until the motion along the constraint begins.
 
     Args:
         robot: The robot of the rollouts.
-        rollouts: Name -> rollout or demonstration (which has no manipulability curve); or a single one.
+        rollouts: Rollout or demonstration; or a mapping from names to several. Demonstrations have no manipulability
+            curve unless `constraint` is given.
         html: File to write; None for a temporary file.
-        tip: Frame whose path is drawn; None for the frame of the rollouts, else `default_tip`.
+        tip: Name of the frame whose path is drawn; None for the frame of the rollouts, or else `default_tip`.
         title: Text next to the name of the robot.
-        colours: Rollout name -> a name in `palette.COLOURS`; other rollouts get the unused colours.
+        colours: Mapping from names of rollouts to names in `palette.COLOURS`; other rollouts get the unused colours.
         open_browser: True to open the page; None to open it only if it is a temporary file.
-        phases: (recording, start [s], end [s], constraint or None for free motion), as in `report_.phases`, on the
-            recordings' own clocks: drawn as bands in time and along the path of the tip.
+        phases: Phases of the recordings, as in `report_.phases`: tuples (name of the recording, start [s], end [s],
+            index of the constraint or None for free motion), with times on the recording's own time axis. They are
+            drawn as bands over time and along the path of the tip.
         mechanism: Mechanism of the first constraint (`report_.mechanism`), or its dictionary; drawn in the scene.
         notes: Further sentences for the page.
-        constraint: Constraint shown at the tip and measured over time; with phases, `constraints_`: one for each index.
-            Rollouts from `simulate` contain their own; a constraint passed here is shown for all.
-        report: `report_` of the learner, or its stored form (`constraint.provenance`): the evidence in words. Phases
-            and mechanism are taken from it if they are not passed.
-        target: Target of the task, as `PointAttractor` takes it; rollouts from `simulate` contain theirs.
+        constraint: Constraint whose directions are drawn at the tip and whose manipulability is plotted; with phases,
+            all constraints (`constraints_`) by index. None to use the constraints that rollouts from `simulate`
+            contain.
+        report: `report_` of the learner, or its stored form (`constraint.provenance`), for the evidence in words.
+            Phases and mechanism are taken from it if they are not passed.
+        target: Target of the task, in a form that `PointAttractor` accepts; None to use the targets that rollouts from
+            `simulate` contain.
         side_by_side: True to draw each rollout in its own pane, in the robot's own colours, with one common camera and
             its outcome below; for two to four rollouts.
-        align: Zero of the common clock: the `"start"` of each rollout, or the `"grasp"`; a rollout with an earlier
-            grasp then waits at its start.
+        align: Event of each rollout that is time zero: `"start"` or `"grasp"`. With `"grasp"`, a rollout with an
+            earlier grasp waits at its start.
 
     Returns:
         Path, size and notes of the page.
 
     Raises:
-        ConstraintMismatchError: A constraint of another robot.
+        ConstraintMismatchError: The constraint belongs to another robot.
         TargetError: The target is not finite numbers.
-        RecordingError: Nothing to replay, a rollout with NaN, with joints of another robot or with bad times, phases of
-            none of the recordings or with bad times, or a mechanism with numbers that are not finite.
-        ConfigurationError: A posture of the wrong size.
-        UnknownNameError: No such tip frame or colour.
+        RecordingError: There is nothing to replay; a rollout has NaN, joints of another robot or bad times; phases have
+            bad times or belong to none of the recordings; or a mechanism has numbers that are not finite.
+        ConfigurationError: A configuration has the wrong size.
+        UnknownNameError: The tip frame or a colour does not exist.
         OutputError: The file cannot be written.
 
     Example:
@@ -235,7 +239,7 @@ def live_page(
     constraint: Constraint | None = None,
     target: ArrayLike | None = None,
 ) -> str:
-    """Return the HTML of a page that follows a robot.
+    """Return the HTML of a page that shows a robot live.
 
     Args:
         robot: The robot.
@@ -243,10 +247,10 @@ def live_page(
         token: Secret part of the address of the page.
         kind: Source files and network access of the page.
         constraint: Constraint whose mechanism and directions are drawn; None for none.
-        target: Target of the task, as from `Task.goal`.
+        target: Target of the task, as returned by `Task.goal`; None for none.
 
     Returns:
-        The page, which receives the robot's postures as events.
+        Text of the page, which receives the robot's configurations as events from its server.
 
     Raises:
         OutputError: Meshcat's viewer is missing.
@@ -386,16 +390,16 @@ def _tip_frame(robot: Robot, tip: str | None, motions: Sequence[GuidedMotion]) -
 
 
 def recordings_by_name(rollouts: Mapping[str, Recording] | Recording) -> dict[str, Recording]:
-    """Return the rollouts or recordings by their names.
+    """Return the argument `rollouts` of `replay` as a dictionary.
 
     Args:
-        rollouts: Name -> rollout or recording; or a single one.
+        rollouts: Rollout or recording; or a mapping from names to several.
 
     Returns:
-        Name -> rollout or recording.
+        Dictionary from name to rollout or recording.
 
     Raises:
-        RecordingError: No rollout, or something else.
+        RecordingError: There is no rollout, or a value is neither a rollout nor a recording.
     """
     if not isinstance(rollouts, Mapping):
         rollouts = {getattr(rollouts, "name", "rollout"): rollouts}

@@ -1,4 +1,4 @@
-"""Data for the page's program, as one dictionary of finite numbers and text: robot, marks and mechanisms."""
+"""Data for the JavaScript program of a page, as one dictionary of finite numbers and text."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def scene_data(
 
     Args:
         robot: The robot.
-        looks: Its appearance.
+        looks: Shapes and meshes of the robot.
         tip: Name of the frame whose path is drawn.
         motions: Motions to play.
         notes: Sentences for the page.
@@ -54,7 +54,7 @@ def scene_data(
         mechanisms: Drawing of each constraint's mechanism; None for a constraint without one.
 
     Returns:
-        Values for JSON.
+        Dictionary of JSON values.
     """
     drawn = [line for m in mechanisms if m for line in (*m.lines, m.way)]
     cloud = np.concatenate([_drawn_points(robot, looks, motions), *drawn])
@@ -206,15 +206,15 @@ def _azimuth(motions: Sequence[RecordedMotion]) -> float:
 
 @final
 class HeldDirections(NamedTuple):
-    """Projectors onto held and free directions, along the axes of a frame.
+    """Projectors onto the held and the free directions of a constraint.
 
-    Each field is shape (3, 3), or (T, 3, 3) along a motion if the directions depend on the position. Directions outside
-    the features' rows are neither held nor free.
+    Each projector has the shape (3, 3), or (T, 3, 3) along a motion if the directions depend on the position.
+    Directions that the features do not contain are neither held nor free.
 
     Attributes:
-        axes: Frame of the axes; None for the base.
-        held, free: Translations of the frame's origin.
-        held_turns, free_turns: Rotations of the frame.
+        axes: Frame along whose axes the projectors are; None for the robot's base.
+        held, free: Projectors onto translations of the frame's origin.
+        held_turns, free_turns: Projectors onto rotation axes of the frame.
     """
 
     axes: Frame | None
@@ -227,12 +227,13 @@ class HeldDirections(NamedTuple):
 def held_directions(constraint: Constraint, places: Float[np.ndarray, "T 3"]) -> HeldDirections | None:
     """Return the held and the free directions of a constraint.
 
-    A direction is held if moving along it alone violates the constraint for every rotation: the row space contains the
-    row (a, 0). It is free if the constraint permits a motion along it, possibly with a rotation, as at a door's handle.
+    A translation is held if the constraint forbids it whatever the hand's rotation. It is free if the constraint
+    permits a motion along it, possibly together with a rotation, as at a door's handle.
 
     Args:
-        constraint: A(q).
-        places: Origin of the frame along the motion, shape (T, 3), in the base or in the features' reference frame [m].
+        constraint: Constraint A(q).
+        places: Positions (T, 3) of the frame's origin along the motion, in the base or in the features' reference frame
+            [m].
 
     Returns:
         The directions; None for features that are not of one frame.
@@ -281,7 +282,7 @@ def _projector(columns: Float[np.ndarray, "3 k"]) -> Float[np.ndarray, "3 3"]:
 
 
 def constraint_marks(robot: Robot, motion: GuidedMotion, constraint: Constraint, most: int) -> dict[str, Any] | None:
-    """Return the marks of a constraint along a motion.
+    """Return the drawing of a constraint at the tip along a motion: held and free directions, and velocity ellipsoids.
 
     Args:
         robot: Robot of the motion.
@@ -290,7 +291,7 @@ def constraint_marks(robot: Robot, motion: GuidedMotion, constraint: Constraint,
         most: Largest number of times with an ellipsoid.
 
     Returns:
-        Marks for the page; None for a constraint that is not of a single frame.
+        JSON values for the page; None for a constraint that is not of a single frame.
     """
     n, base = constraint.provenance.get("n_constraints"), constraint
     if isinstance(n, int) and 0 < n < constraint.n_constraints:  # a task's own rows follow the learnt rows
@@ -323,14 +324,14 @@ def constraint_marks(robot: Robot, motion: GuidedMotion, constraint: Constraint,
 
 
 def ellipsoid_scale(longest: float, size: float) -> float:
-    """Return the drawn length of 1 m/s: the largest of 1, 2 or 5 times a power of ten at which all ellipsoids fit.
+    """Return the scale of velocity ellipsoids: the largest 1, 2 or 5 times a power of ten at which all of them fit.
 
     Args:
         longest: Longest semi-axis of all ellipsoids [m/s].
         size: Largest drawn length of a semi-axis [m].
 
     Returns:
-        Scale [m per m/s].
+        Drawn length of a velocity of 1 m/s [m].
     """
     steps = np.outer(10.0 ** np.arange(-30, 31), (1.0, 2.0, 5.0))
     return float(steps[steps * longest <= size * (1.0 + 1e-9)].max(initial=0.0)) if longest > 0.0 else 1.0
@@ -375,8 +376,8 @@ class MechanismDrawing(NamedTuple):
         lines: Polylines, each of shape (n, 3).
         patches: Corners of flat surfaces in order around them, each of shape (4, 3).
         shown: Demonstrated motion along it, in words; empty if it is not known.
-        way: shape (n, 3), demonstrated path from the start to the farthest point, or along a surface.
-        hold: True if all recordings began at one place.
+        way: shape (n, 3), demonstrated path: from the start to the farthest point, or the whole path on a surface.
+        hold: True if all recordings began at one position.
     """
 
     type: str
@@ -388,7 +389,7 @@ class MechanismDrawing(NamedTuple):
     hold: bool
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the drawing for the page, arrays in base64."""
+        """Return the attributes as a dictionary of JSON values, with arrays in base64."""
         arrays = {name: [to_base64(x, "<f4") for x in getattr(self, name)] for name in ("lines", "patches")}
         return self._asdict() | arrays | {"way": to_base64(self.way, "<f4")}
 
@@ -398,20 +399,20 @@ def mechanism_drawing(
     held: Float[np.ndarray, "n 3"],
     shown: Shown | Intention | None = None,
 ) -> MechanismDrawing:
-    """Return the lines and patches of a mechanism, as large as the motion along it, and the demonstrated path.
+    """Draw a mechanism with lines and surfaces that are as large as the motion along it, and the demonstrated path.
 
     Missing parts of a mechanism, e.g. the axis of a held orientation, are not drawn; its sentence is always shown.
 
     Args:
-        mechanism: The mechanism, or its dictionary from a constraint file; None if it is unknown.
-        held: Positions of the tip on the mechanism (n, 3), in the base frame [m]; at least one point.
-        shown: Demonstrated motion or target; None if it is not known.
+        mechanism: The mechanism, or its dictionary from a constraint file; None if it is not known.
+        held: Positions (n, 3) of the tip while it is on the mechanism, in the base frame [m]; at least one.
+        shown: Demonstrated motion, or target of a self-imposed constraint; None if it is not known.
 
     Returns:
         The drawing.
 
     Raises:
-        RecordingError: Numbers of a wrong size or not finite.
+        RecordingError: Numbers of the mechanism have the wrong size or are not finite.
     """
     described = mechanism.to_dict() if isinstance(mechanism, Mechanism) else dict(mechanism or {})
     # the page has room for 400 characters

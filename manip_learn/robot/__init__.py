@@ -1,4 +1,4 @@
-"""Robots: files -> kinematics."""
+"""Robots: read descriptions and compute kinematics."""
 
 from manip_learn.robot.joints import Frame
 from manip_learn.robot.loading import load_robot

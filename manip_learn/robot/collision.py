@@ -1,7 +1,7 @@
 """Distances between the links of a robot and to obstacles, and their gradients with respect to the joints.
 
-A link's mesh counts as its convex hull, or, near another object, by its triangles: the hulls of a forearm and of a
-wrist touch although the links do not.
+The mesh of a link is represented by its convex hull, and near another object by its triangles, because e.g. the hulls
+of a forearm and a wrist can touch although the links do not.
 """
 
 from __future__ import annotations
@@ -33,16 +33,16 @@ LARGE_BLOCK = 10.0  # [m] smallest half edge of a block whose face is a floor or
 @final
 @dataclass(frozen=True, eq=False)
 class CollisionShape:
-    """One convex shape on one link.
+    """Convex collision shape of a link.
 
     Attributes:
         link: Name of the link.
         joint: Pinocchio id of the moving joint that carries it; 0 is the fixed world.
-        placement: shape (4, 4), from the shape to that joint [m].
-        geometry: The shape for Coal.
-        radius: Radius of a ball about the shape's origin that contains it [m].
-        shape: The same as a `Solid`, or a mesh of trimesh.
-        mesh: The mesh of trimesh whose convex hull the shape is; None for other shapes.
+        placement: Pose (4, 4) of the shape in the frame of that joint [m].
+        geometry: The shape as a Coal object.
+        radius: Radius of the bounding ball about the shape's origin [m].
+        shape: The shape as a `Solid` or as a trimesh mesh.
+        mesh: Trimesh mesh whose convex hull is the shape; None for other shapes.
     """
 
     link: str
@@ -55,23 +55,23 @@ class CollisionShape:
 
     @cached_property
     def surface(self) -> CollisionShape:
-        """The same shape by its triangles, if it has any."""
+        """The triangle mesh itself instead of its convex hull; the same shape if it has no mesh."""
         return self if self.mesh is None else replace(self, geometry=_coal(self.mesh, False), shape=self.mesh)
 
 
 @final
 @dataclass(frozen=True, eq=False)
 class Obstacle:
-    """A solid in the world.
+    """Obstacle for collision checks.
 
     Attributes:
-        name: Its name.
-        placement: shape (4, 4), in the robot's base frame [m].
-        geometry: A convex shape of Coal, or its mesh of triangles, whose surface counts.
-        half: shape (3,), half extents of a box about it, centred at its origin and along its axes [m].
-        shape: The same as a `Solid`, or a mesh of trimesh.
+        name: Name of the obstacle.
+        placement: Pose (4, 4) in the robot's base frame [m].
+        geometry: Coal object: a convex shape, or a triangle mesh of which only the surface is used.
+        half: Half extents (3,) of its bounding box, centred at its origin and along its axes [m].
+        shape: The obstacle as a `Solid` or as a trimesh mesh.
         may_touch: Names of the links that may touch it.
-        is_closed: True for a mesh that is closed and not convex: a link inside it touches it, too.
+        is_closed: True for a mesh that is closed and not convex, so that a link inside it is in collision, too.
     """
 
     name: str
@@ -83,10 +83,12 @@ class Obstacle:
     is_closed: bool = False
 
     def to_dict(self, most: int) -> dict[str, Any]:
-        """Return the obstacle as plain data: its name, pose, kind and sizes [m]; a large block is its face across z.
+        """Return the obstacle as a dictionary of JSON values, for drawing: name, pose, kind and dimensions [m].
+
+        Of a huge block, e.g. a floor, only the face across its z axis is returned.
 
         Args:
-            most: Largest number of triangles; a larger mesh becomes the box about it.
+            most: Largest number of triangles; a larger mesh is replaced by its bounding box.
         """
         shape, half, placement = self.shape, self.half.tolist(), self.placement.copy()
         described: dict[str, Any] = {"kind": "box", "size": [2.0 * x for x in half]}
@@ -102,12 +104,12 @@ class Obstacle:
 
 @lru_cache(maxsize=16)
 def collision_shapes(robot: Robot, tag: Shapes = "collision") -> tuple[CollisionShape, ...]:
-    """Return all collision shapes of a robot; a link that loses all of its own gets capsules or a ball instead.
+    """Return all collision shapes of a robot; a link without any usable shape gets capsules or a ball instead.
 
     Args:
         robot: A loaded robot.
-        tag: `"collision"` takes the collision shapes; `"visual"` takes the drawn shapes instead; `"links"` takes
-            capsules from joint to joint, as thick as the tubes by which the replay draws a robot without shapes.
+        tag: `"collision"` for its collision shapes; `"visual"` for its visual shapes; `"links"` for capsules from joint
+            to joint, as thick as the tubes that the replay draws for a robot without shapes.
 
     Raises:
         RobotError: The robot has no usable shapes; codes `no-collision-shapes`, `collision-shape`.
@@ -147,7 +149,7 @@ def _capsules(robot: Robot, links: Mapping[int, str]) -> list[Visual]:
 
 
 def missing_meshes(robot: Robot) -> tuple[str, ...]:
-    """Return the reasons why shapes that count for collisions are lost, one sentence each.
+    """Return one sentence per reason for which collision shapes cannot be used, e.g. missing meshes.
 
     Args:
         robot: A loaded robot.
@@ -157,7 +159,7 @@ def missing_meshes(robot: Robot) -> tuple[str, ...]:
 
 
 def describe_shapes(robot: Robot) -> str:
-    """Return a sentence on the shapes that count for collisions: their number, their elements, and the substitutes.
+    """Describe in one sentence the shapes used for collision checks: number, origin, and substitutes.
 
     Args:
         robot: A loaded robot.
@@ -175,7 +177,10 @@ def describe_shapes(robot: Robot) -> str:
 
 @lru_cache(maxsize=16)
 def known_shapes(robot: Robot) -> Shapes:
-    """Return the kind of shapes that count for collisions: collision shapes, or else drawn ones, or else capsules.
+    """Return the kind of shapes used for collision checks, the argument `tag` of `collision_shapes`.
+
+    It is `"collision"`, or `"visual"` if there are no collision shapes, or `"links"` if there are no visual shapes
+    either.
 
     Args:
         robot: A loaded robot.
@@ -188,11 +193,11 @@ def known_shapes(robot: Robot) -> Shapes:
 def obstacles_of(
     name: str, placement: Float[np.ndarray, "4 4"], shape: Solid | Mesh, may_touch: frozenset[str] = frozenset()
 ) -> tuple[Obstacle, ...]:
-    """Return the obstacles that stand for an object; each connected part of a mesh is one obstacle.
+    """Return the obstacles that represent an object; each connected part of a mesh is one obstacle.
 
     Args:
         name: Name of the object.
-        placement: shape (4, 4), in the robot's base frame [m].
+        placement: Pose (4, 4) in the robot's base frame [m].
         shape: Its shape, in its own frame.
         may_touch: Names of the links that may touch it.
     """
@@ -271,10 +276,10 @@ class Proximity(NamedTuple):
 
     Attributes:
         links: Names of the two links, or of a link and an obstacle.
-        distance: Distance [m]; negative where the shapes overlap: the depth.
-        gradient: d distance / dq, shape (nv,) [m/rad or 1].
-        normal: shape (3,), direction in the base frame in which the second would have to move away.
-        number: Number of the pair.
+        distance: Distance [m]; if the shapes overlap, minus the penetration depth.
+        gradient: Gradient of the distance with respect to the joint positions, shape (nv,) [m/rad or 1].
+        normal: Unit vector (3,) in the base frame along which the second shape moves away from the first.
+        number: Index of the pair in `SelfCollision.pairs`.
     """
 
     links: tuple[str, str]
@@ -286,37 +291,38 @@ class Proximity(NamedTuple):
 
 @final
 class SelfCollision:
-    """Distances of one robot's links from each other and from obstacles, computed by Coal.
+    r"""Collision model of a robot: distances of its links from each other and from obstacles, computed by Coal.
 
-    A link's mesh counts as its convex hull, or by its triangles: see `hulls`.
+    With the nearest points :math:`p_a, p_b` of two shapes (witness points), the unit vector n from the first to the
+    second, and the Jacobian :math:`J_a(p)` of the point of link a that is at p, the distance and its gradient are
 
-    With the witness points p_a, p_b (the nearest points of two shapes) and the unit vector n from a to b,
+    .. math::
 
-        d = n . (p_b - p_a),    dd/dq = n^T (J_b(p_b) - J_a(p_a)),    J(p) the Jacobian of the link's point at p
+        d = n^T (p_b - p_a), \qquad \frac{\partial d}{\partial q} = n^T (J_b(p_b) - J_a(p_a))
 
-    since d does not change to first order when a witness point moves on its surface. Where the nearest points jump, as
-    between parallel faces, d has a kink, and the gradient is one of its one-sided gradients. For overlapping round
-    shapes, the direction belongs to an approximate depth.
+    because d does not change to first order when a witness point moves on its surface. Where the nearest points jump,
+    as between parallel faces, the distance has a kink, and the gradient is one of its one-sided gradients. For
+    overlapping round shapes, the direction belongs to an approximate penetration depth.
 
-    Some pairs of links do not count: links joined by one joint or rigidly; links that touch at the posture `free`; and
-    links joined by two joints that overlap at none of 1,000 random postures by more than 0.01 m, a depth that convex
-    hulls may cause: such links stay near each other at any posture. A moving link counts against every obstacle that
-    does not let it touch. One instance can be used from many threads.
+    Some pairs of links are not checked: links joined by one joint or rigidly; links that touch in the configuration
+    `free`; and links joined by two joints that overlap at none of 1,000 random configurations by more than 0.01 m (a
+    depth that convex hulls may cause), because such links are always near each other. A moving link is checked against
+    every obstacle that it may not touch. One instance can be used from many threads.
 
     Args:
-        robot: The robot, with its meshes where its shapes are meshes.
-        shapes: `"visual"` takes the drawn shapes, `"links"` capsules along the links, see `collision_shapes`.
-        free: A posture in which no link touches another; by default `Robot.neutral()`.
-        obstacles: Obstacles; obstacles of one name move together.
-        hulls: True to use only the convex hull of a link's mesh, which takes a tenth of the time; otherwise its
-            triangles count near another object.
+        robot: The robot, with its meshes if its shapes are meshes.
+        shapes: `"collision"`, `"visual"` or `"links"` (capsules along the links), see `collision_shapes`.
+        free: Configuration (nq,) or joint positions (nv,) in which no link touches another; default `Robot.neutral()`.
+        obstacles: Obstacles; obstacles with the same name move together.
+        hulls: True to represent a link's mesh by its convex hull only, which takes a tenth of the time. False to use
+            its triangles near another object.
 
     Attributes:
-        link_pairs: Names of the links whose distances from each other count.
+        link_pairs: Pairs of names of the links that are checked against each other.
         obstacles: The obstacles.
-        geometry: Pinocchio's model of the shapes on its joints, obstacles last, and of the pairs that count.
-        pairs: Numbers in `geometry` of the shapes whose distances count, a link's first.
-        faces: Numbers in `geometry` of the large faces, e.g. a floor: for them the hull of a mesh is exact.
+        geometry: Pinocchio's geometry model of the shapes, obstacles last, and of the checked pairs.
+        pairs: Checked pairs, as indices in `geometry`; the first one is of a link.
+        faces: Indices in `geometry` of large faces, e.g. a floor, for which the hull of a mesh is exact.
 
     Raises:
         RobotError: The robot has no usable collision shapes.
@@ -357,11 +363,11 @@ class SelfCollision:
         self._set_pairs(remaining, obstacles)
 
     def with_obstacles(self, obstacles: Sequence[Obstacle], own: bool = True) -> SelfCollision:
-        """Return the same links among other obstacles; shapes and pairs are shared, so that this takes a millisecond.
+        """Return a model of the same robot among other obstacles, in about a millisecond because shapes are shared.
 
         Args:
             obstacles: The new obstacles.
-            own: True to include the links' distances from each other.
+            own: True to check the links also against each other.
         """
         other = object.__new__(SelfCollision)
         vars(other).update(vars(self))
@@ -372,7 +378,7 @@ class SelfCollision:
 
     @cached_property
     def levers(self) -> Float[np.ndarray, "pairs nv"]:
-        """The largest change of each distance per unit joint motion, with links laid end to end [m/rad or 1]."""
+        """Upper bound of the change of each pair's distance per unit joint motion (pairs, nv) [m/rad or 1]."""
         model, robot, out = self._model, self.robot, np.zeros((len(self._solids), self._model.nv))
         ends = np.maximum(np.abs(model.lowerPositionLimit), np.abs(model.upperPositionLimit))
         for k, shape in enumerate(self._shapes):
@@ -389,20 +395,20 @@ class SelfCollision:
         return levers if robot.coupling is None else levers @ np.abs(robot.coupling.lift)
 
     def solid(self, number: int, hull: bool = False) -> CollisionShape:
-        """Return a shape of `geometry` as it counts near another object, or its hull.
+        """Return a shape in the form in which it is checked near another object.
 
         Args:
-            number: Number in `geometry`.
-            hull: True for the hull of a mesh in any case.
+            number: Index of the shape in `geometry`.
+            hull: True for the convex hull of a mesh, also if its triangles are used for checks.
         """
         return self._solids[number] if self._hulls or hull else self._solids[number].surface
 
     def is_clear(self, q: ArrayLike, distance: float) -> bool:
-        """Return True if every pair is farther apart than a distance: like `closer_than`, in a fifth of its time.
+        """Return True if all pairs are farther apart than a distance; this takes a fifth of the time of `closer_than`.
 
         Args:
-            q: Configuration (nq) or joint positions (nv) [rad or m].
-            distance: Largest distance that is not clear [m].
+            q: Configuration (nq,) or joint positions (nv,) [rad or m].
+            distance: Distance that every pair must exceed [m].
 
         Raises:
             ConfigurationError: q has the wrong size or is not finite.
@@ -426,12 +432,12 @@ class SelfCollision:
         return not (self._closed and self.closer_than(q, distance))
 
     def closer_than(self, q: ArrayLike, distance: float, only: Sequence[int] | None = None) -> list[Proximity]:
-        """Return all pairs of shapes within a distance, and their gradients.
+        """Return all pairs of shapes within a distance, with the gradients of their distances.
 
         Args:
-            q: Configuration (nq) or joint positions (nv) [rad or m].
-            distance: Largest distance [m].
-            only: Numbers of the pairs to check; None for all.
+            q: Configuration (nq,) or joint positions (nv,) [rad or m].
+            distance: Largest distance of a returned pair [m].
+            only: Indices in `pairs` to check; None for all.
 
         Raises:
             ConfigurationError: q has the wrong size or is not finite.
@@ -445,11 +451,11 @@ class SelfCollision:
         return near
 
     def distances(self, q: ArrayLike, only: Sequence[int]) -> list[float]:
-        """Return the distances of some pairs [m], negative where they overlap.
+        """Return the distances of some pairs [m], negative for shapes that overlap.
 
         Args:
-            q: Configuration (nq) or joint positions (nv) [rad or m].
-            only: Numbers of the pairs.
+            q: Configuration (nq,) or joint positions (nv,) [rad or m].
+            only: Indices of the pairs in `pairs`.
         """
         _, geometry_data, far = self._place_shapes(q, bounded=False)
         return [self._distance(k, geometry_data, float(far[k]), np.inf)[1] for k in only]
@@ -458,7 +464,7 @@ class SelfCollision:
         """Return the pair of shapes at the smallest distance; None if there are no pairs. See `closer_than`.
 
         Args:
-            q: Configuration (nq) or joint positions (nv) [rad or m].
+            q: Configuration (nq,) or joint positions (nv,) [rad or m].
         """
         data, geometry_data, far = self._place_shapes(q)
         best, pair, least = None, -1, np.inf
@@ -527,11 +533,11 @@ class SelfCollision:
         return Proximity(self.links_of(a, b), distance, lifted, np.array([nx, ny, nz]), k)
 
     def links_of(self, a: int, b: int) -> tuple[str, str]:
-        """Return the names of the links, or of link and obstacle, of two shapes.
+        """Return the names of the links or obstacles to which two shapes belong.
 
         Args:
-            a: Number in `geometry` of the first.
-            b: Number in `geometry` of the second.
+            a: Index of the first shape in `geometry`.
+            b: Index of the second shape in `geometry`.
         """
         return self._solids[a].link, self._solids[b].link
 

@@ -30,20 +30,22 @@ def closed_form(
     reference: str,
     rows: Sequence[int] = ALL_ROWS,
 ) -> Float[np.ndarray, "*n p nv nv"]:
-    """Compute dJ_i/dq_k from the Jacobian's own columns; entry [i, j, k] = d J_ij / d q_k.
+    """Compute the derivative dJ/dq of frame Jacobians from their own columns.
 
-    With columns (v_i, w_i) at the frame's origin along world axes, for joint k at or above joint i on the chain:
-    d v_i / d q_k = w_k x v_i and d w_i / d q_k = w_k x w_i; for k below i: d v_i / d q_k = w_i x v_k, d w_i = 0.
-    In the frame's own axes: dS_i / dq_k = S_i x S_k for k below i, else 0 (motion cross product).
+    Column i of J is (v_i, w_i), at the frame's origin along world axes. If joint k is joint i or nearer to the base,
+    d v_i / d q_k = w_k x v_i and d w_i / d q_k = w_k x w_i. If joint k is farther from the base, d v_i / d q_k =
+    w_i x v_k and d w_i / d q_k = 0. In the frame's own axes, with columns S_i, d S_i / d q_k = S_i x S_k (motion cross
+    product) if joint k is farther from the base than joint i, else 0.
 
     Args:
-        J: Frame Jacobians, linear rows first.
+        J: Frame Jacobians (..., 6, nv), linear rows first.
         joint_of_column: Pinocchio joint id of each column; columns outside the frame's chain are zero in J.
         reference: `"world"` (LOCAL_WORLD_ALIGNED) or `"local"`.
         rows: Rows to compute: x y z rx ry rz as 0 .. 5.
 
     Returns:
-        The rows of one derivative for each Jacobian, with the Jacobians last in memory.
+        Derivatives (..., p, nv, nv) of the p rows, with the entry [i, j, k] = d J_ij / d q_k. The axes of the different
+        Jacobians are the last ones in memory.
     """
     columns = np.ascontiguousarray(np.moveaxis(J, (-2, -1), (0, 1)))
     v, w, nv = columns[:3], columns[3:], columns.shape[1]
@@ -65,15 +67,19 @@ def centre_of_mass_derivative(
     w: Float[np.ndarray, "nv 3"],
     joint_of_column: Int[np.ndarray, " nv"],
 ) -> Float[np.ndarray, "3 nv nv"]:
-    """Compute dJc_i/dq_k of the centre of mass's Jacobian Jc; entry [i, j, k] = d Jc_ij / d q_k.
+    """Compute the derivative of the Jacobian Jc of the centre of mass.
 
-    For joint k at or above joint i: d Jc_i / d q_k = w_k x Jc_i; for k below i: w_i x Jc_k; else 0.
+    With column i of Jc and the rotation axis w_i of joint i: d Jc_i / d q_k = w_k x Jc_i if joint k is joint i or
+    nearer to the base on its chain; w_i x Jc_k if joint k is farther from the base; 0 for joints of different chains.
 
     Args:
         model: Pinocchio model of the robot.
-        Jc: Jacobian of the centre of mass along the base axes.
-        w: Angular column of each joint along the base axes.
+        Jc: Jacobian (3, nv) of the centre of mass along the base axes.
+        w: Angular velocity (nv, 3) per unit velocity of each joint, along the base axes.
         joint_of_column: Pinocchio joint id of each column.
+
+    Returns:
+        shape (3, nv, nv), with the entry [i, j, k] = d Jc_ij / d q_k.
     """
     owner, c = joint_of_column, Jc.T
     is_above = np.zeros((model.njoints, model.njoints), dtype=bool)
@@ -87,7 +93,7 @@ def centre_of_mass_derivative(
 
 
 def reorder_hessian(H: np.ndarray, nv: int) -> Float[np.ndarray, "6 nv nv"]:
-    """Return Pinocchio's Hessian in the right order: entries [i, j, k] = d J_ij / d q_k.
+    """Reorder the entries of Pinocchio's Hessian to [i, j, k] = d J_ij / d q_k.
 
     Args:
         H: Result of `getFrameKinematicHessian`, with scrambled entries.
@@ -97,13 +103,13 @@ def reorder_hessian(H: np.ndarray, nv: int) -> Float[np.ndarray, "6 nv nv"]:
 
 
 def pinocchio_order_is_known(model: pin.Model) -> bool:
-    """Return True if `reorder_hessian` agrees with the closed form on this model, in every reference frame.
+    """Test that `reorder_hessian` gives the same derivative as `closed_form`, in every reference frame.
 
     Args:
-        model: Pinocchio model; the check takes its deepest frame at a random posture.
+        model: Pinocchio model. The test uses its deepest frame at a random configuration.
 
     Returns:
-        False also for a model without joints.
+        True if the two agree; False also for a model without joints.
     """
     if model.nv == 0:
         return False
@@ -124,7 +130,7 @@ def pinocchio_order_is_known(model: pin.Model) -> bool:
 
 
 def columns_to_joints(model: pin.Model) -> Int[np.ndarray, " nv"]:
-    """Return the Pinocchio joint id of each tangent coordinate.
+    """Return the Pinocchio joint id of each tangent coordinate (nv,), i.e. of each column of a Jacobian.
 
     Args:
         model: Pinocchio model.
@@ -151,22 +157,21 @@ class _Pass:
 
 @final
 class FrameKinematics:
-    """Pose, Jacobian and dJ/dq of one frame, see `Robot.pose`, `Robot.jacobian`, `Robot.jacobian_and_derivative`.
+    """Fast kinematics of one frame: pose, Jacobian and its derivative; `Robot.frame_kinematics` makes it.
 
-    If all joints between the base and the frame have one degree of freedom, only these joints are computed: a hand
-    beside the chain, or a second arm, costs nothing. The placement of the latest posture is cached: a task that needs
-    the pose right after the Jacobian gets it without another pass. The Jacobians and poses of the latest table of
-    postures are cached too; they come from one pass.
+    If all joints between the base and the frame have one degree of freedom, only these joints are computed; other
+    joints, e.g. of fingers or a second arm, cost nothing. The pose at the latest configuration is cached, and so are
+    Jacobians and poses at the latest array of configurations.
 
-    One object can be used from many threads: each has its own Pinocchio data.
+    One object can be used from many threads; each thread has its own Pinocchio data.
 
     Args:
-        robot: The `Robot`, whose module imports this one.
+        robot: The `Robot`.
         frame: One of its frames.
 
     Attributes:
-        chain: The joints that carry the frame; None if one of them has more than one degree of freedom.
-        model: Pinocchio model of these joints, or of the whole robot.
+        chain: The joints that move the frame; None if there are none or one has more than one degree of freedom.
+        model: Pinocchio model of these joints, or of the whole robot if `chain` is None.
     """
 
     def __init__(self, robot: Any, frame: Frame):
@@ -219,40 +224,40 @@ class FrameKinematics:
         return last
 
     def position(self, q: ArrayLike) -> Float[np.ndarray, " 3"]:
-        """Return the origin of the frame in the robot's base [m].
+        """Return the position (3,) of the frame's origin in the robot's base frame [m].
 
         Args:
-            q: Configuration (nq) or joint positions (nv) [rad or m].
+            q: Configuration (nq,) or joint positions (nv,) [rad or m].
         """
         return self._pass_at(q).position.copy()
 
     def placement(self, q: ArrayLike) -> tuple[Float[np.ndarray, " 3"], Float[np.ndarray, "3 3"]]:
-        """Return the origin of the frame in the base [m] and its rotation to the base.
+        """Return position and orientation of the frame in the robot's base frame.
 
         Args:
-            q: Configuration (nq) or joint positions (nv) [rad or m].
+            q: Configuration (nq,) or joint positions (nv,) [rad or m].
 
         Returns:
-            Views that are valid until the next call.
+            Position (3,) [m] and rotation matrix (3, 3). The arrays are views that the next call overwrites.
         """
         last = self._pass_at(q)
         return last.position, last.rotation
 
     def pose(self, q: ArrayLike) -> Float[np.ndarray, "4 4"]:
-        """Return the homogeneous transform from the frame to the robot's base [m].
+        """Return the pose (4, 4) of the frame in the robot's base frame [m].
 
         Args:
-            q: Configuration (nq) or joint positions (nv) [rad or m].
+            q: Configuration (nq,) or joint positions (nv,) [rad or m].
         """
         last, out = self._pass_at(q), np.eye(4)
         out[:3, :3], out[:3, 3] = last.rotation, last.position
         return out
 
     def jacobian(self, q: ArrayLike, reference: str) -> Float[np.ndarray, "6 nv"]:
-        """Return a new array with the frame Jacobian, linear rows first [m/s, rad/s per unit joint velocity].
+        """Return the frame Jacobian (6, nv), linear rows first [m/s, rad/s per unit joint velocity], as a new array.
 
         Args:
-            q: Configuration (nq) or joint positions (nv) [rad or m].
+            q: Configuration (nq,) or joint positions (nv,) [rad or m].
             reference: Along the base axes (`"world"`) or the frame's own (`"local"`).
         """
         J = self._model_jacobian(q, reference)
@@ -269,11 +274,14 @@ class FrameKinematics:
         return J if J.ndim == 2 else J.reshape(6, 1)  # nv == 1
 
     def jacobian_and_derivative(self, q: ArrayLike, reference: str) -> tuple[np.ndarray, np.ndarray]:
-        """Return J (6, nv) and dJ/dq (6, nv, nv); entry [i, j, k] = d J_ij / d q_k along tangent coordinate k, exact.
+        """Return the frame Jacobian J and its exact derivative.
 
         Args:
-            q: Configuration (nq) or joint positions (nv) [rad or m].
+            q: Configuration (nq,) or joint positions (nv,) [rad or m].
             reference: Along the base axes (`"world"`) or the frame's own (`"local"`).
+
+        Returns:
+            J (6, nv), and dJ/dq (6, nv, nv) with the entry [i, j, k] = d J_ij / d q_k along tangent coordinate k.
         """
         if self._fast_hessian:
             model, index, ref = self.model, self._index, PINOCCHIO_REFERENCES[reference]
@@ -314,28 +322,28 @@ class FrameKinematics:
         return J, T
 
     def poses(self, q: ArrayLike) -> Float[np.ndarray, "n 4 4"]:
-        """Return the homogeneous transforms from the frame to the robot's base [m].
+        """Return the poses (n, 4, 4) of the frame at n configurations, in the robot's base frame [m].
 
         Args:
-            q: Postures, one per row: configurations (nq) or joint positions (nv) [rad or m].
+            q: Configurations (n, nq) or joint positions (n, nv) [rad or m], one per row.
 
         Raises:
-            ConfigurationError: Wrong size or not finite; names the first bad row and joint.
+            ConfigurationError: q has the wrong size or is not finite; names the first bad row and joint.
         """
         return self._sweep(q)[1].copy()
 
     def jacobians(
         self, q: ArrayLike, reference: str = "world", rows: Sequence[int] = ALL_ROWS
     ) -> Float[np.ndarray, "n p nv"]:
-        """Return frame Jacobians, linear rows first [m/s, rad/s per unit joint velocity].
+        """Return rows of the frame Jacobian at n configurations, shape (n, p, nv) [m/s, rad/s per unit joint velocity].
 
         Args:
-            q: Postures, one per row: configurations (nq) or joint positions (nv) [rad or m].
+            q: Configurations (n, nq) or joint positions (n, nv) [rad or m], one per row.
             reference: Along the base axes (`"world"`) or the frame's own (`"local"`).
             rows: Rows to return: x y z rx ry rz as 0 .. 5.
 
         Raises:
-            ConfigurationError: Wrong size or not finite; names the first bad row and joint.
+            ConfigurationError: q has the wrong size or is not finite; names the first bad row and joint.
         """
         J = self._rotate_to(*self._sweep(q), reference)[:, list(rows)]
         return J if self._lift is None else J @ self._lift
@@ -349,15 +357,19 @@ class FrameKinematics:
     def jacobians_and_derivatives(
         self, q: ArrayLike, reference: str = "world", rows: Sequence[int] = ALL_ROWS
     ) -> tuple[Float[np.ndarray, "n p nv"], Float[np.ndarray, "n p nv nv"]]:
-        """Return frame Jacobians J and dJ/dq; entry [n, i, j, k] = d J_ij / d q_k along tangent coordinate k, exact.
+        """Return rows of the frame Jacobian J and their exact derivatives at n configurations.
 
         Args:
-            q: Postures, one per row: configurations (nq) or joint positions (nv) [rad or m].
+            q: Configurations (n, nq) or joint positions (n, nv) [rad or m], one per row.
             reference: Along the base axes (`"world"`) or the frame's own (`"local"`).
             rows: Rows to return: x y z rx ry rz as 0 .. 5.
 
+        Returns:
+            J (n, p, nv), and dJ/dq (n, p, nv, nv) with the entry [., i, j, k] = d J_ij / d q_k along tangent coordinate
+            k.
+
         Raises:
-            ConfigurationError: Wrong size or not finite; names the first bad row and joint.
+            ConfigurationError: q has the wrong size or is not finite; names the first bad row and joint.
         """
         J, selected = self._rotate_to(*self._sweep(q), reference), list(rows)
         parts = [J[i : i + DERIVATIVE_CHUNK] for i in range(0, max(len(J), 1), DERIVATIVE_CHUNK)]
@@ -366,14 +378,15 @@ class FrameKinematics:
         return (J[:, selected], H) if lift is None else (J[:, selected] @ lift, lift.T @ (H @ lift))
 
     def link_twists(self, q: Float[np.ndarray, "n nv"]) -> Float[np.ndarray, "l n 6 6"] | None:
-        """Return the twists of the frame caused by unit errors of each of the l links on its chain.
+        """Return the twist of the frame per unit error of each link's geometry.
 
         Args:
-            q: Joint positions, one posture per row [rad or m].
+            q: Joint positions (n, nv) [rad or m], one configuration per row.
 
         Returns:
-            Twists along the base axes at the frame's origin: first for three displacements of the link's end along the
-            axes of its joint, then for three rotations about these axes. None if `chain` is None.
+            shape (l, n, 6, 6) for l links on the chain: twists along the base axes at the frame's origin, first for
+            three displacements of the link's end along the axes of its joint, then for three rotations about these
+            axes. None if `chain` is None.
         """
         if self.chain is None:
             return None

@@ -1,7 +1,7 @@
-"""HTML cards for objects in notebooks: a title, facts and tables, with one look for the whole library.
+"""HTML cards that represent objects in notebooks: a title, facts and tables, with one style for the whole library.
 
 Cards use the colours of the surrounding page, so that they are readable in light and dark notebooks. This module is in
-the lowest room that displays objects, since every room above displays some too.
+the lowest layer of the library that displays objects, because all layers above use it.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ WIDTH = 320  # [px] of a picture
 
 
 def escape(text: str) -> str:
-    """Return a text as HTML, without markup and without characters that affect the text around it.
+    """Escape a text for HTML, and remove characters that affect the text around it.
 
     Args:
         text: Plain text.
@@ -28,8 +28,8 @@ def card(title: str, *parts: str) -> str:
     """Return a block of HTML with a title.
 
     Args:
-        title: Plain text.
-        *parts: HTML; empty parts are left out.
+        title: Title, as plain text.
+        *parts: Contents, as HTML; empty parts are left out.
     """
     inner = "".join(part for part in parts if part)
     return f'<div style="font-size:13px;line-height:1.45"><b>{escape(title)}</b>{inner}</div>'
@@ -55,7 +55,7 @@ def warnings(texts: Iterable[str]) -> str:
 
 
 def table(header: Sequence[str], rows: Sequence[Sequence[object]], most: int = 12) -> str:
-    """Return a table as HTML; a long one is cut, with the number of rows left out.
+    """Return a table as HTML; the last row of a table that was cut gives the number of rows left out.
 
     Args:
         header: Names of the columns; all empty for no header.
@@ -84,16 +84,16 @@ def facts(pairs: Iterable[tuple[str, object]]) -> str:
     """Return a table of names and values as HTML.
 
     Args:
-        pairs: Name and value; pairs with None are left out.
+        pairs: Pairs (name, value); pairs whose value is None are left out.
     """
     return table(("", ""), [(name, value) for name, value in pairs if value is not None])
 
 
 def curve(x: Sequence[float], y: Sequence[float], label: str) -> str:
-    """Return a small curve above zero as an SVG picture in the colour of the text; empty without a positive value.
+    """Return a small plot of a curve above zero as an SVG picture; empty if no value is positive.
 
     Args:
-        x: Abscissae, ascending.
+        x: Horizontal coordinates, ascending.
         y: Values; values that are not finite are gaps.
         label: Plain text below the picture, which screen readers read out.
     """
@@ -120,7 +120,7 @@ def bars(values: Sequence[tuple[str, float]], label: str) -> str:
         label: Plain text below the picture, which screen readers read out.
 
     Returns:
-        HTML; empty without a bar.
+        HTML; empty if there are no bars.
     """
     line = 16  # [px] height of a bar
     levels = [(name, math.log10(value)) for name, value in values if value > 0.0 and math.isfinite(value)]
@@ -150,6 +150,6 @@ def folded(summary: str, inner: str) -> str:
 
     Args:
         summary: Plain text that is always visible.
-        inner: HTML.
+        inner: Hidden contents, as HTML.
     """
     return f"<details><summary>{escape(summary)}</summary>{inner}</details>" if inner else ""

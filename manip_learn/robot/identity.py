@@ -1,4 +1,4 @@
-"""The identity of the robot that made a file: enough to refuse another robot, and to lock the same joints again."""
+"""Identity of the robot of a file, to refuse another robot and to load the same one with the same locked joints."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ class RobotIdentity:
         fingerprint: `Robot.fingerprint`: hash of its kinematics and masses, with the locked joints.
         nq: Size of a configuration.
         joint_names: One name per degree of freedom.
-        locked: Locked joint -> position [rad or m], as the argument `locked` of `load_robot`.
-        objects: Names of objects whose pose is recorded, as the argument `objects` of `load_robot`.
-        source: The name or the file that `load_robot` found it by; empty if unknown.
+        locked: Locked joint -> position [rad or m], the argument `locked` of `load_robot`.
+        objects: Names of objects whose pose is recorded, the argument `objects` of `load_robot`.
+        source: Name or file with which `load_robot` loaded it; empty if not known.
     """
 
     name: str
@@ -53,27 +53,27 @@ class RobotIdentity:
         """Load the robot again, with the same joints locked and the same objects.
 
         Returns:
-            The robot; changes of its file since then show in `differences`.
+            The robot. If its file has changed since, `differences` reports it.
 
         Raises:
-            ManipLearnError: Its file is missing, or no robot of its name is known on this machine.
+            ManipLearnError: Its file is missing, or no robot of this name is known on this machine.
         """
         return load_robot(self.source or self.name, locked=self.locked, objects=self.objects)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the identity as plain data for JSON."""
+        """Return the identity as a dictionary of JSON values."""
         words = {key: list(value) if isinstance(value, tuple) else value for key, value in vars(self).items()}
         return words | {"locked": dict(self.locked)}
 
     @staticmethod
     def from_dict(content: object) -> RobotIdentity:
-        """Return the identity that `to_dict` was called on.
+        """Build an identity from the output of `to_dict`.
 
         Args:
-            content: Result of `to_dict` as JSON holds it; `locked`, `objects` and `source` may be missing.
+            content: The output of `to_dict`; `locked`, `objects` and `source` may be missing.
 
         Raises:
-            ValueError: Other content; the message names the entry and its value.
+            ValueError: The content is not valid; the message names the entry and its value.
         """
         if not isinstance(content, Mapping):
             raise ValueError(f"the robot must be an object, it is {type(content).__name__}")
@@ -93,7 +93,7 @@ class RobotIdentity:
         return RobotIdentity(words["name"], words["fingerprint"], nq, joints, positions, objects, words["source"])
 
     def differences(self, robot: Robot) -> tuple[str, ...]:
-        """Return the differences from a loaded robot, each as a part of a sentence; empty if there are none.
+        """Return the differences from a loaded robot, each as a phrase; empty if there are none.
 
         Args:
             robot: The robot to compare with.
@@ -114,7 +114,7 @@ class RobotIdentity:
         return tuple(differences)
 
     def mismatch(self, robot: Robot, where: str) -> str | None:
-        """Return a sentence on the differences of a loaded robot from the robot of a file, and the remedy.
+        """Explain in a sentence how a loaded robot differs from the robot of a file, with the remedy.
 
         Args:
             robot: The robot to compare with.
@@ -137,29 +137,32 @@ class RobotIdentity:
         return f"{finding}: {'; '.join(differences)}. {fix}"
 
     def refuse_another(self, robot: Robot, where: str, path: Path | None = None) -> None:
-        """Refuse a loaded robot that differs from this one.
+        """Raise an error if a loaded robot differs from this one.
 
         Args:
             robot: The robot to compare with.
             where: Name of the file or the object, with which the message begins.
-            path: File for the error, or None.
+            path: File to store in the error; None if there is none.
 
         Raises:
-            RecordingError: Another robot, or other joints locked; code `other-robot`.
+            RecordingError: The robot is another one, or has other locked joints; code `other-robot`.
         """
         if mismatch := self.mismatch(robot, where):
             raise RecordingError(mismatch, code="other-robot", path=path)
 
 
 def names_from(value: object, what: str) -> tuple[str, ...]:
-    """Return names from a JSON list.
+    """Check that a JSON value is a list of names.
 
     Args:
-        value: Value that JSON held.
-        what: Its name, for the error.
+        value: The JSON value.
+        what: Name of the value, for the error message.
+
+    Returns:
+        The names.
 
     Raises:
-        ValueError: Not a list of texts.
+        ValueError: The value is not a list of texts.
     """
     if not isinstance(value, list) or not all(isinstance(name, str) for name in value):
         raise ValueError(f"{what} must be a list of names, it is {value!r:.60}")

@@ -1,4 +1,4 @@
-"""The independent joints of a robot: their slices of the vectors, their limits, mimic joints, and chains to a frame."""
+"""Independent joints of a robot: their slices of the vectors, limits, mimic joints, and chains to a frame."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ COORDINATE_SUFFIXES: dict[str, tuple[str, ...]] = {
 @final
 @dataclass(frozen=True)
 class Frame:
-    """A named frame, looked up once so that a wrong name can never reach Pinocchio (which would crash).
+    """Frame of a robot; `Robot.frame` makes it from a name, which it checks (Pinocchio would crash for a wrong name).
 
     Attributes:
         name: Name in the URDF (a link, else a joint).
@@ -41,7 +41,7 @@ FrameLike = str | Frame  # argument type of the methods of `Robot`; a `Frame` sa
 @final
 @dataclass(frozen=True)
 class Mimic:
-    """A mimic joint: position = multiplier * position of `leader` + offset."""
+    """Mimic joint: position of `joint` = `multiplier` * position of `leader` + `offset` [rad or m]."""
 
     joint: str
     leader: str
@@ -52,12 +52,12 @@ class Mimic:
 @final
 @dataclass(frozen=True)
 class Coupling:
-    """Positions and velocities of all joints as an affine map of the independent ones.
+    """Affine map from the independent joints to all joints, including mimic joints.
 
-    positions_all = lift @ positions + offset;  velocities_all = lift @ velocities.
+    The positions of all joints are `lift @ positions + offset`, their velocities `lift @ velocities`.
 
     Attributes:
-        lift: shape (nv_all, nv), from independent velocities to all.
+        lift: Matrix (nv_all, nv).
         offset: shape (nv_all,) [rad or m].
     """
 
@@ -94,12 +94,15 @@ class JointBlock:
 
     @property
     def direction(self) -> slice:
-        """The slice of a configuration that has length 1, for a continuous, floating or planar joint."""
+        """Slice of a configuration with the unit vector of the joint: (cos, sin), or the quaternion of a floating base.
+
+        It is for continuous, floating and planar joints only.
+        """
         return slice(self.q.stop - (4 if self.kind == "floating" else 2), self.q.stop)
 
     @property
     def coordinate_names(self) -> tuple[str, ...]:
-        """One name per tangent coordinate: the joint's, or `base.x`, `base.y`, ... for a floating or planar base."""
+        """One name per tangent coordinate: the joint's name, or e.g. `base.x`, `base.y` for a floating base."""
         width = self.v.stop - self.v.start
         if width == 1:
             return (self.name,)
@@ -108,14 +111,14 @@ class JointBlock:
 
     @property
     def units(self) -> tuple[str, ...]:
-        """The unit of each tangent coordinate, `"rad"` or `"m"`."""
+        """Unit of each tangent coordinate, `"rad"` or `"m"`."""
         if self.kind in COORDINATE_SUFFIXES:
             return tuple("rad" if "r" in suffix else "m" for suffix in COORDINATE_SUFFIXES[self.kind])
         return ("m" if self.kind == "prismatic" else "rad",) * (self.v.stop - self.v.start)
 
 
 def joint_blocks(model: pin.Model, mimics: Sequence[Mimic]) -> tuple[JointBlock, ...]:
-    """Return the independent joints of a model in its order: joints that move and do not follow another joint.
+    """Return the independent joints of a model, in its order: joints that move and are no mimic joints.
 
     Args:
         model: Pinocchio model, in which mimic joints are joints of their own.
@@ -148,9 +151,9 @@ class JointLimits(NamedTuple):
     """Limits of each degree of freedom.
 
     Attributes:
-        lower: shape (nv,) [rad or m], -inf where there is no limit.
-        upper: shape (nv,) [rad or m], inf where there is no limit.
-        velocity: shape (nv,) [rad/s or m/s], inf where there is no limit.
+        lower: Lower position limits (nv,) [rad or m], -inf for a joint without one.
+        upper: Upper position limits (nv,) [rad or m], inf for a joint without one.
+        velocity: Velocity limits (nv,) [rad/s or m/s], inf for a joint without one.
     """
 
     lower: Float[np.ndarray, " nv"]
@@ -161,7 +164,7 @@ class JointLimits(NamedTuple):
 def joint_limits(
     model: pin.Model, blocks: Sequence[JointBlock], mimics: Sequence[Mimic]
 ) -> tuple[JointLimits, tuple[str, ...]]:
-    """Return the limits of the independent joints, narrowed by their followers.
+    """Return the limits of the independent joints, narrowed by the limits of the mimic joints that follow them.
 
     Args:
         model: Pinocchio model, in which mimic joints are joints of their own.
@@ -169,7 +172,7 @@ def joint_limits(
         mimics: Its mimic joints.
 
     Returns:
-        The limits, read-only, and a warning for each follower that narrows or contradicts the limits of its leader.
+        The limits (read-only), and a warning for each mimic joint that narrows or contradicts the limits of its leader.
     """
     nv = sum(b.v.stop - b.v.start for b in blocks)
     limits = JointLimits(np.full(nv, -np.inf), np.full(nv, np.inf), np.full(nv, np.inf))
@@ -216,7 +219,9 @@ def _narrow_leader(m: Mimic, leader: JointBlock, model: pin.Model, limits: Joint
 
 
 def full_coupling(model: pin.Model, blocks: Sequence[JointBlock], mimics: Sequence[Mimic]) -> Coupling:
-    """Return the affine map from the independent joints to all joints of a model; a permutation without mimic joints.
+    """Return the affine map from the independent joints to all joints of a model.
+
+    Without mimic joints, it is a permutation.
 
     Args:
         model: Pinocchio model, in which mimic joints are joints of their own.
@@ -235,15 +240,15 @@ def full_coupling(model: pin.Model, blocks: Sequence[JointBlock], mimics: Sequen
 
 @final
 class CarryingJoints(NamedTuple):
-    """A chain of joints of one degree of freedom, from the base to a frame.
+    """Chain of n joints with one degree of freedom each, from the base to a frame.
 
-    Its configuration x is one number per joint, the robot's joint positions p mapped by x = lift p + offset; a
-    continuous joint is an unlimited angle in it.
+    The configuration of the chain has one number per joint: `lift @ p + offset`, with the robot's joint positions p
+    (nv,). A continuous joint is an unlimited angle in it.
 
     Attributes:
-        model: Pinocchio model of these joints and the frame alone.
-        index: Number of the frame in that model.
-        lift: shape (n, nv).
+        model: Pinocchio model with these joints and the frame only.
+        index: Index of the frame in that model.
+        lift: Matrix (n, nv).
         offset: shape (n,) [rad or m].
     """
 
@@ -262,10 +267,11 @@ def carrying_joints(
         model: Pinocchio model, in which mimic joints are joints of their own.
         frame: One of its frames.
         blocks: Its independent joints.
-        coupling: Map from the independent joints to all; None without mimic joints.
+        coupling: Map from the independent joints to all joints; None without mimic joints.
 
     Returns:
-        None if there are no such joints, or one of them is neither revolute nor prismatic (e.g. a floating base).
+        The chain; None if there are no such joints, or if one of them is neither revolute nor prismatic (e.g. a
+        floating base).
     """
     chain = [j for j in model.supports[frame.parent_joint] if j > 0]
     motions = joint_motions(model)
@@ -290,13 +296,14 @@ def carrying_joints(
 
 
 def joint_motions(model: pin.Model) -> list[tuple[Literal["R", "P"], Float[np.ndarray, " 3"]] | None]:
-    """Return for each joint of a model whether it turns ("R") or slides ("P"), and its axis in its own frame.
+    """Return the type of each joint of a model, revolute (`"R"`) or prismatic (`"P"`), and its axis in its own frame.
 
     Args:
         model: Pinocchio model.
 
     Returns:
-        One entry per Pinocchio joint id; None for the world, for a joint of more degrees of freedom, and for a screw.
+        One entry per Pinocchio joint id: type and axis (3,). None for the world, for a joint with more degrees of
+        freedom, and for a screw joint.
     """
     data, out = model.createData(), list[tuple[Literal["R", "P"], np.ndarray] | None]([None])
     pin.forwardKinematics(model, data, pin.neutral(model), np.zeros(model.nv))

@@ -1,4 +1,4 @@
-"""The potential that grows without bound towards the joint limits, and its margin, which stays finite at the limits.
+"""Joint limit potential, which grows without bound towards the limits, and a margin that stays finite there.
 
     h(q) = sum_j (u_j - l_j)^2 / (4 (u_j - q_j) (q_j - l_j)),    l_j, u_j the position limits of joint j
 
@@ -17,7 +17,7 @@ from manip_learn.robot.robot import Robot
 
 
 def has_range(robot: Robot) -> np.ndarray:
-    """Return True for each joint that is limited on both sides, with the lower limit below the upper; shape (nv,).
+    """Return a mask (nv,) of the joints with two finite limits, the lower one below the upper one.
 
     Args:
         robot: A loaded robot.
@@ -27,7 +27,7 @@ def has_range(robot: Robot) -> np.ndarray:
 
 
 def ranges(robot: Robot) -> Float[np.ndarray, " nv"]:
-    """Return the joint ranges u_j - l_j [rad or m], infinite for a missing limit.
+    """Return the range of each joint (nv,), upper minus lower limit [rad or m]; infinite if a limit is missing.
 
     Args:
         robot: A loaded robot.
@@ -36,9 +36,9 @@ def ranges(robot: Robot) -> Float[np.ndarray, " nv"]:
 
 
 def joint_range_margin(x: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
-    """Return 1 - x^2, and 0 outside the limits.
+    """Return the margin 1 - x^2 of joints with scaled positions x, and 0 outside the limits.
 
     Args:
-        x: Positions scaled to their range: -1 at the lower limit, 1 at the upper.
+        x: Joint positions (n,) scaled to their range: -1 at the lower limit, 1 at the upper limit.
     """
     return np.clip((1.0 - x) * (1.0 + x), 0.0, None)

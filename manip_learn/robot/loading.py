@@ -1,4 +1,4 @@
-"""Robots by name or from files -> `Robot`."""
+"""Load robots by name or from files."""
 
 from __future__ import annotations
 
@@ -46,14 +46,14 @@ def load_robot(
 
     Args:
         name: `"planar3"`, `"sawyer"`, a robot of example-robot-data such as `"panda"`, or the path of a URDF or MJCF
-            file. A name of an existing file, or one that ends in .urdf, .xml, .mjcf or .xacro, is a path.
-        package_dirs: Folders that contain the packages of `package://` meshes and of `$(find ...)` in xacro files.
-            The kinematics of a URDF need none.
-        locked: Joints to lock, at zero or the limit nearest to it; or a mapping joint -> position [rad or m], with None
-            for that default.
+            file. The name of an existing file, or a name that ends in .urdf, .xml, .mjcf or .xacro, is a path.
+        package_dirs: Folders that contain the packages of `package://` meshes and of `$(find ...)` in xacro files. Not
+            needed for the kinematics of a URDF.
+        locked: Names of joints to lock, at zero or at the limit nearest to zero; or a mapping from joints to positions
+            [rad or m], with None for that default.
         base: `"fixed"` fixes the root link; `"floating"` lets it move in space, `"planar"` in the plane.
-        xacro: True, or the values of its arguments, e.g. `{"ur_type": "ur5e"}`, to expand a .xacro file. Off by
-            default, since the expansion runs expressions of the file's author.
+        xacro: True, or a mapping with the file's arguments such as `{"ur_type": "ur5e"}`, to expand a .xacro file. Off
+            by default, because the expansion evaluates expressions of the file's author.
         objects: Names of objects whose pose is recorded together with the joints, e.g. `("box",)`: each becomes a link
             on a floating joint, both of that name, attached to the root link, with six more degrees of freedom
             `box.x box.y box.z box.rx box.ry box.rz` (position [m] and rotation vector [rad] in the root link's frame)
@@ -63,9 +63,10 @@ def load_robot(
         The robot.
 
     Raises:
-        UnknownNameError: No such robot, or a locked joint that does not exist; lists near matches.
+        UnknownNameError: The robot or a locked joint does not exist; lists near matches.
         MissingExtraError: The robot or the file format needs a package that is not installed.
-        RobotError: The description is refused: `code`, file, line, joint or link, the value seen and the fix.
+        RobotError: The description is invalid. The error has a `code`; the message names the file, the line, the joint
+            or link, the actual value and the remedy.
 
     Example:
         >>> import manip_learn as ml
@@ -109,10 +110,11 @@ def robot_from_text(
     """Build a robot from the text of a URDF (xacro expanded) or an MJCF file.
 
     Args:
-        content: The text. The robot's description is this text for a URDF, and the equivalent URDF for an MJCF file.
-        path: File of the text.
+        content: Text of the file. `Robot.description` is this text for a URDF, and the equivalent URDF for an MJCF
+            file.
+        path: File from which the text was read.
         package_dirs: Folders of mesh packages.
-        locked: Joints to lock; names, or names -> positions [rad or m].
+        locked: Names of joints to lock, or a mapping from names to positions [rad or m], see `load_robot`.
         root_joint: Joint between the world and the root link; None if it is fixed.
         objects: Names of objects whose pose is recorded, see `load_robot`.
 
@@ -122,7 +124,7 @@ def robot_from_text(
     Raises:
         RobotError: The description is invalid, Pinocchio refuses it, a joint cannot be locked, or an object has the
             name of a link or joint.
-        UnknownNameError: A locked joint that does not exist.
+        UnknownNameError: A locked joint does not exist.
     """
     joints = [locked] if isinstance(locked, str) else locked  # a single string counts as one name
     requested = {str(name): locked[name] if isinstance(locked, Mapping) else None for name in joints}
@@ -173,18 +175,19 @@ def _fingerprint(urdf: UrdfFile, still: dict[str, float], root_joint: pin.JointM
 
 
 def locked_positions(urdf: UrdfFile, asked: Mapping[str, float | None]) -> dict[str, float]:
-    """Return the position of every joint at rest: locked joints, their followers, and followers of fixed joints.
+    """Return the position of every joint that will not move: locked joints, and mimic joints of locked or fixed joints.
 
     Args:
-        urdf: The robot.
-        asked: Joint -> its position [rad or m]; None for zero, or the limit nearest to zero.
+        urdf: The robot description.
+        asked: Mapping from joints to lock to positions [rad or m]; None for zero, or the limit nearest to zero.
 
     Returns:
-        Joint name -> position [rad or m], in file order; 0 for floating and planar joints, which is accepted again.
+        Joint name -> position [rad or m], in the order of the file; 0 for floating and planar joints. The result can be
+        passed as `asked` again.
 
     Raises:
-        UnknownNameError: A name that is not a joint's.
-        RobotError: Codes `locked-follower`, `locked-position`.
+        UnknownNameError: A name is not the name of a joint.
+        RobotError: A joint cannot be locked there; codes `locked-follower`, `locked-position`.
     """
     by_name = {j.name: j for j in urdf.joints}
     leader_of = {m.joint: m.leader for m in urdf.followers}
@@ -221,13 +224,13 @@ def _position(joint: UrdfJoint, value: float | None) -> float:
 
 
 def with_fixed(urdf: UrdfFile, still: Mapping[str, float]) -> UrdfFile:
-    """Return the robot with some joints fixed at their positions.
+    """Return a robot description with some joints replaced by fixed joints.
 
-    Pinocchio's own reduction of a model leaves frames whose parents form a circle.
+    Pinocchio's own function for this is not used, because it leaves frames whose parents form a circle.
 
     Args:
-        urdf: The robot.
-        still: Joint -> position [rad or m].
+        urdf: The robot description.
+        still: Joint to fix -> its position [rad or m].
     """
     joints = list(urdf.joints)
     for i, joint in enumerate(joints):
@@ -239,15 +242,15 @@ def with_fixed(urdf: UrdfFile, still: Mapping[str, float]) -> UrdfFile:
 
 
 def with_objects(urdf: UrdfFile, objects: Sequence[str]) -> UrdfFile:
-    """Return the robot with a link on a floating joint of the same name for each object, attached to the root link.
+    """Return a robot description with a link on a floating joint for each object, attached to the root link.
 
     Args:
-        urdf: The robot.
-        objects: Names of the objects.
+        urdf: The robot description.
+        objects: Names of the objects, which are the names of the new links and joints.
 
     Raises:
-        RobotError: Code `object-name`: an empty, unprintable or repeated name; or the name of a link, joint or
-            coordinate of the robot.
+        RobotError: A name is empty, unprintable or repeated, or it is the name of a link, joint or coordinate of the
+            robot; code `object-name`.
     """
     used = {link.name for link in urdf.links} | {joint.name for joint in urdf.joints}
     suffixes = ("", *COORDINATE_SUFFIXES["floating"])

@@ -1,6 +1,6 @@
-"""A robot and solids around it as a URDF with plain names, for programs that read only such files.
+"""Write a robot and solids around it as a URDF with simple names, for programs that read only such files.
 
-Joint 7 is called j007 and carries the link l007, whatever its name in the robot's file and the kind of that file; each
+The joint with the Pinocchio id 7 is called j007 and carries the link l007, whatever its name in the robot's file; each
 solid has a link of its own.
 """
 
@@ -27,7 +27,7 @@ BALL_CORNERS = np.array([np.divide(d, 0.8866 * np.linalg.norm(d)) for d in produ
 
 
 def joint_name(index: int) -> str:
-    """Return the plain name of a joint.
+    """Return the name of a joint in the written URDF, e.g. `j007`.
 
     Args:
         index: Pinocchio id of the joint.
@@ -42,21 +42,21 @@ def plain_urdf(
     solids: Mapping[str, tuple[CollisionShape, float]],
     folder: Path,
 ) -> str:
-    """Write a robot with solids as the text of a URDF; meshes go to files.
+    """Return the text of a URDF of a robot with solids; meshes are written to files.
 
     Args:
         robot: The robot.
-        lower: Lowest positions of its joints [rad or m].
-        upper: Highest positions of its joints [rad or m].
-        solids: Name -> a shape on a joint of this robot, and the margin by which it grows on all sides [m]; convex
-            meshes grow at their corners by up to an eighth more.
-        folder: Folder for the meshes.
+        lower: Lower position limits (nv,) to write [rad or m].
+        upper: Upper position limits (nv,) to write [rad or m].
+        solids: Mapping from a name to a shape on a joint of this robot, and the margin by which it is inflated on all
+            sides [m]. Corners of convex meshes grow by up to an eighth more.
+        folder: Folder for the mesh files.
 
     Returns:
-        The text.
+        Text of the URDF.
 
     Raises:
-        ValueError: A joint that is neither revolute nor prismatic.
+        ValueError: A joint is neither revolute nor prismatic.
     """
     model, out = robot.pinocchio_model, ["<robot name='copy'><link name='l000'/>"]
     mimics, motions = {m.joint: m for m in robot.mimics}, joint_motions(model)

@@ -1,4 +1,4 @@
-"""A robot: kinematics from a configuration to Jacobians and their derivatives in a named reference frame."""
+"""Kinematics of a robot: from a configuration to Jacobians and their derivatives in a named reference frame."""
 
 from __future__ import annotations
 
@@ -35,10 +35,11 @@ Reference = Literal["world", "local"]
 class Robot:
     """Kinematics of one robot.
 
-    Two vectors describe a posture, and every method takes either: the *configuration* q (nq), in which a continuous
-    joint is (cos, sin) and a floating base has a quaternion; and the *joint positions* (nv), one number per joint [rad
-    or m] as in recordings. They are the same for arms that have only limited joints. Velocities are tangent vectors
-    (nv) [rad/s or m/s]. All moving joints count as degrees of freedom, except mimic joints, which follow their leaders.
+    `load_robot` makes it. Two vectors describe a posture of the robot, and every method accepts both: the
+    *configuration* q (nq,), in which a continuous joint is (cos, sin) and a floating base has a quaternion; and the
+    *joint positions* (nv,), one number per joint [rad or m] as in recordings. The two are equal for arms with limited
+    joints only. Velocities are tangent vectors (nv,) [rad/s or m/s]. All moving joints are degrees of freedom, except
+    mimic joints, which follow other joints.
 
     One robot can be used from many threads: each has its own Pinocchio data (see `FrameKinematics`).
 
@@ -48,19 +49,19 @@ class Robot:
         nv: Number of degrees of freedom.
         joint_names: One name per degree of freedom, in Pinocchio's order (depth first, siblings by name).
         frame_names: Names that `FrameJacobian` accepts.
-        position_lower: shape (nv,) [rad or m], -inf where there is no limit.
-        position_upper: shape (nv,) [rad or m], inf where there is no limit.
-        velocity_limit: shape (nv,) [rad/s or m/s], inf where there is none.
-        mimics: Mimic joints, resolved.
-        source: File that the robot was read from, or None.
-        package_dirs: Folders in which `package://` meshes are looked up.
-        fingerprint: SHA-256 of its kinematics and masses, with the locked joints: identifies the robot.
+        position_lower: Lower position limits (nv,) [rad or m], -inf for a joint without one.
+        position_upper: Upper position limits (nv,) [rad or m], inf for a joint without one.
+        velocity_limit: Velocity limits (nv,) [rad/s or m/s], inf for a joint without one.
+        mimics: Mimic joints, each with an independent leader.
+        source: File from which the robot was read; None if it was not read from a file.
+        package_dirs: Folders in which `package://` meshes are searched.
+        fingerprint: SHA-256 of its kinematics, masses and locked joints, which identifies the robot.
         warnings: Repaired and ignored parts of the description, one sentence each.
-        description: Text of the URDF as it was read, xacro expanded; None if there was none.
+        description: Text of the URDF as it was read, with xacro expanded; None if there was none.
         locked: Locked joint -> position [rad or m].
-        pinocchio_model: The underlying Pinocchio model. It has mimic joints as joints of their own; do not change it.
+        pinocchio_model: The underlying Pinocchio model, in which mimic joints are ordinary joints; do not modify it.
         blocks: The independent joints, with their slices of the vectors.
-        coupling: Affine map from the independent joints to all, in Pinocchio's order; None without mimic joints.
+        coupling: Affine map from the independent joints to all joints, in Pinocchio's order; None without mimic joints.
         objects: Names of objects outside the robot whose pose is recorded, each on a floating joint.
         payload: Mass that the hand carries [kg], see `with_payload`.
 
@@ -127,13 +128,13 @@ class Robot:
     # ---- names ----------------------------------------------------------------------------------------------------
 
     def frame(self, name: FrameLike) -> Frame:
-        """Return the frame of a name.
+        """Look up a frame by its name.
 
         Args:
             name: Name of a link or joint; a `Frame` is returned as it is.
 
         Raises:
-            UnknownNameError: No such frame; lists near matches.
+            UnknownNameError: The frame does not exist; lists near matches.
         """
         if type(name) is Frame:
             return name
@@ -143,30 +144,30 @@ class Robot:
 
     @property
     def joint_units(self) -> tuple[str, ...]:
-        """The unit of each joint position, `"rad"` or `"m"`; one per velocity."""
+        """Unit of each joint position, `"rad"` or `"m"`, shape (nv,)."""
         return tuple(unit for block in self.blocks for unit in block.units)
 
     def joint_index(self, name: str) -> int:
-        """Return the tangent coordinate of a joint.
+        """Return the index of a joint in joint positions and velocities.
 
         Args:
             name: One of `joint_names`.
 
         Raises:
-            UnknownNameError: No such joint; lists near matches.
+            UnknownNameError: The joint does not exist; lists near matches.
         """
         if name in self.joint_names:
             return self.joint_names.index(name)
         raise UnknownNameError("joint", name, self.joint_names, f"robot {self.name!r}")
 
     def reach(self, frame: FrameLike) -> float:
-        """Return an upper bound of the distance between the base and a frame [m]: the links, laid end to end.
+        """Return an upper bound of the distance between the base and a frame [m]: the sum of the link lengths.
 
         Args:
             frame: Name of the frame, or the frame.
 
         Raises:
-            UnknownNameError: No such frame; lists near matches.
+            UnknownNameError: The frame does not exist; lists near matches.
         """
         tip, model = self.frame(frame), self.pinocchio_model
         links = [model.jointPlacements[j].translation for j in model.supports[tip.parent_joint] if j]
@@ -177,14 +178,14 @@ class Robot:
         return float(np.sum(np.linalg.norm(links, axis=1)) + slides)
 
     def moves(self, joint: str, frame: FrameLike) -> bool:
-        """Return True if a joint, or its follower, lies between the base and a frame.
+        """Return True if a joint, or a mimic joint that follows it, moves a frame relative to the base.
 
         Args:
             joint: One of `joint_names`.
             frame: Name of the frame, or the frame.
 
         Raises:
-            UnknownNameError: No such joint or frame; lists near matches.
+            UnknownNameError: The joint or the frame does not exist; lists near matches.
         """
         index = self.joint_index(joint)
         block = next(b for b in self.blocks if b.v.start <= index < b.v.stop)
@@ -195,13 +196,13 @@ class Robot:
     # ---- configurations -------------------------------------------------------------------------------------------
 
     def configuration(self, q: ArrayLike) -> Float[np.ndarray, " nq"]:
-        """Return the configuration of a posture, with unit parts normalised.
+        """Convert a posture to a configuration (nq,); (cos, sin) pairs and quaternions are normalised.
 
         Args:
-            q: Configuration (nq) or joint positions (nv) [rad or m].
+            q: Configuration (nq,) or joint positions (nv,) [rad or m].
 
         Raises:
-            ConfigurationError: Wrong size, NaN, infinity, or a (cos, sin) or quaternion of length zero.
+            ConfigurationError: q has the wrong size, NaN, infinity, or a (cos, sin) or quaternion of length zero.
         """
         vector = self.checked_posture(q)
         if self.nq == self.nv:
@@ -222,16 +223,16 @@ class Robot:
         return out
 
     def checked_posture(self, q: ArrayLike) -> Float[np.ndarray, " n"]:
-        """Check the size and the numbers of a posture.
+        """Check that a posture has the right size and finite numbers.
 
         Args:
-            q: Configuration (nq) or joint positions (nv) [rad or m].
+            q: Configuration (nq,) or joint positions (nv,) [rad or m].
 
         Returns:
-            The same posture, as a float64 array.
+            The same vector, as a float64 array.
 
         Raises:
-            ConfigurationError: Wrong size, NaN, infinity, or a (cos, sin) or quaternion of length zero.
+            ConfigurationError: q has the wrong size, NaN, infinity, or a (cos, sin) or quaternion of length zero.
         """
         if type(q) is np.ndarray and q.shape == self._shape and q.dtype is DOUBLE and q.flags.c_contiguous:
             if math.isfinite(sum(q.tolist())):
@@ -239,16 +240,17 @@ class Robot:
         return self._checked(q, "a posture", 1, (self.nq, self.nv))
 
     def checked_postures(self, q: ArrayLike) -> Float[np.ndarray, "n width"]:
-        """Check a table of postures; see `checked_posture`.
+        """Check that an array of postures has the right shape and finite numbers.
 
         Args:
-            q: Postures, one per row: configurations (nq) or joint positions (nv) [rad or m].
+            q: Configurations (n, nq) or joint positions (n, nv) [rad or m], one per row.
 
         Returns:
-            The same table, as a float64 array.
+            The same array, as float64.
 
         Raises:
-            ConfigurationError: Not a table of nq or nv columns, NaN or infinity; names the first bad row and joint.
+            ConfigurationError: The array has not nq or nv columns, or contains NaN or infinity; the message names the
+                first bad row and joint.
         """
         return self._checked(q, "a table of postures", 2, (self.nq, self.nv))
 
@@ -291,17 +293,17 @@ class Robot:
         return q
 
     def positions(self, q: ArrayLike) -> Float[np.ndarray, " nv"]:
-        """Return the joint positions of a posture [rad or m].
+        """Convert a posture to joint positions.
 
         Args:
-            q: Configuration (nq) or joint positions (nv) [rad or m].
+            q: Configuration (nq,) or joint positions (nv,) [rad or m].
 
         Returns:
-            Continuous joints in (-pi, pi], orientations as rotation vectors. Joint positions are returned unchanged,
-            with their full turns.
+            Joint positions (nv,) [rad or m]. From a configuration, continuous joints are in (-pi, pi] and orientations
+            are rotation vectors; joint positions are returned unchanged, with their full turns.
 
         Raises:
-            ConfigurationError: Wrong size or not finite.
+            ConfigurationError: q has the wrong size or is not finite.
         """
         vector = self.checked_posture(q)
         if vector.shape[0] == self.nv:
@@ -321,13 +323,17 @@ class Robot:
         return out
 
     def unwrapped(self, q: ArrayLike) -> Float[np.ndarray, "n nv"]:
-        """Return the joint positions of a motion [rad or m]; a motion of configurations gets no jumps by full turns.
+        """Convert a motion to joint positions without jumps by full turns.
 
         Args:
-            q: Configurations (nq) or joint positions (nv), one posture per row, in order of time.
+            q: Configurations (n, nq) or joint positions (n, nv) [rad or m], one per row, in order of time.
+
+        Returns:
+            Joint positions (n, nv) [rad or m]. Configurations are converted and their angles unwrapped; joint positions
+            are returned unchanged.
 
         Raises:
-            ConfigurationError: Wrong size or not finite; names the first bad row and joint.
+            ConfigurationError: q has the wrong size or is not finite; names the first bad row and joint.
         """
         table = self.checked_postures(q)
         if table.shape[1] == self.nv:
@@ -335,7 +341,7 @@ class Robot:
         return np.unwrap(np.array([self.positions(row) for row in table]).reshape(-1, self.nv), axis=0)
 
     def neutral(self) -> Float[np.ndarray, " nq"]:
-        """Return a configuration inside the limits: zero where that is allowed, else the middle of the range."""
+        """Return a configuration within the limits: each joint at zero if that is allowed, else mid-range."""
         positions = np.zeros(self.nv)
         outside = (self.position_lower > 0.0) | (self.position_upper < 0.0)
         lower, upper = self.position_lower[outside], self.position_upper[outside]
@@ -345,13 +351,13 @@ class Robot:
         return self.configuration(positions)
 
     def random_configuration(self, rng: np.random.Generator) -> Float[np.ndarray, " nq"]:
-        """Sample a configuration uniformly within the limits; unlimited joints within half a turn or 1 m.
+        """Sample a random configuration uniformly within the limits; joints without limits within half a turn or 1 m.
 
         Args:
             rng: Source of random numbers.
 
         Returns:
-            The configuration.
+            The configuration (nq,).
         """
         below, above = np.isfinite(self.position_lower), np.isfinite(self.position_upper)
         ends = np.where(above, self.position_upper - 2 * np.pi, -np.pi)  # with one limit: within a full turn of it
@@ -366,14 +372,14 @@ class Robot:
         """Return the posture after a displacement in the tangent space.
 
         Args:
-            q: Configuration (nq) or joint positions (nv) [rad or m].
-            v: Displacement (nv) [rad or m].
+            q: Configuration (nq,) or joint positions (nv,) [rad or m].
+            v: Displacement (nv,) [rad or m].
 
         Returns:
-            The same kind of vector as q.
+            Configuration or joint positions, whichever `q` is [rad or m].
 
         Raises:
-            ConfigurationError: Wrong size or not finite.
+            ConfigurationError: q or v has the wrong size or is not finite.
         """
         vector = self.checked_posture(q)
         step = self.velocity(v)
@@ -384,40 +390,40 @@ class Robot:
         return self.positions(out) if vector.shape[0] == self.nv else out
 
     def difference(self, q0: ArrayLike, q1: ArrayLike) -> Float[np.ndarray, " nv"]:
-        """Return the tangent vector from one posture to another along the shortest path [rad or m].
+        """Return the tangent vector (nv,) from one posture to another along the shortest path [rad or m].
 
         Args:
-            q0: Configuration (nq) or joint positions (nv) at the start.
-            q1: Configuration (nq) or joint positions (nv) at the end.
+            q0: Configuration (nq,) or joint positions (nv,) at the start.
+            q1: Configuration (nq,) or joint positions (nv,) at the end.
 
         Raises:
-            ConfigurationError: Wrong size or not finite.
+            ConfigurationError: q0 or q1 has the wrong size or is not finite.
         """
         both = (self._expanded(self.configuration(q)) for q in (q0, q1))
         return pin.difference(self.pinocchio_model, *both)[self._columns]
 
     def velocity(self, v: ArrayLike) -> Float[np.ndarray, " nv"]:
-        """Check a tangent velocity.
+        """Check that joint velocities have the right size and finite numbers.
 
         Args:
-            v: Joint velocities (nv) [rad/s or m/s].
+            v: Joint velocities (nv,) [rad/s or m/s].
 
         Returns:
-            The same velocity, as a float64 array.
+            The same velocities, as a float64 array.
 
         Raises:
-            ConfigurationError: Wrong size or not finite.
+            ConfigurationError: v has the wrong size or is not finite.
         """
         return self._checked(v, "a velocity", 1, (self.nv,))
 
     def pinocchio_configuration(self, q: ArrayLike) -> Float[np.ndarray, " n"]:
-        """Return the configuration of the underlying Pinocchio model, mimic joints included.
+        """Convert a posture to the configuration of the underlying Pinocchio model, including mimic joints.
 
         Args:
-            q: Configuration (nq) or joint positions (nv) [rad or m].
+            q: Configuration (nq,) or joint positions (nv,) [rad or m].
 
         Raises:
-            ConfigurationError: Wrong size or not finite.
+            ConfigurationError: q has the wrong size or is not finite.
         """
         vector = self.checked_posture(q)
         if self._plain:
@@ -441,13 +447,13 @@ class Robot:
     # ---- kinematics -----------------------------------------------------------------------------------------------
 
     def frame_kinematics(self, frame: FrameLike) -> FrameKinematics:
-        """Return the kinematics of one frame: the same results as `pose`, `jacobian` and so on, without the look-up.
+        """Return an object that computes pose and Jacobian of one frame, without looking up the frame in each call.
 
         Args:
             frame: Name of the frame, or the frame.
 
         Raises:
-            UnknownNameError: No such frame; lists near matches.
+            UnknownNameError: The frame does not exist; lists near matches.
         """
         if type(frame) is not Frame:
             frame = self.frame(frame)
@@ -455,30 +461,30 @@ class Robot:
         return kinematics or self._frame_kinematics.setdefault(frame.index, FrameKinematics(self, frame))
 
     def pose(self, q: ArrayLike, frame: FrameLike) -> Float[np.ndarray, "4 4"]:
-        """Return the homogeneous transform from the frame to the robot's base [m].
+        """Return the pose of a frame in the robot's base frame, as a homogeneous matrix (4, 4) [m].
 
         Args:
-            q: Configuration (nq) or joint positions (nv) [rad or m].
+            q: Configuration (nq,) or joint positions (nv,) [rad or m].
             frame: Name of the frame, or the frame.
 
         Raises:
-            ConfigurationError: Wrong size or not finite.
-            UnknownNameError: No such frame; lists near matches.
+            ConfigurationError: q has the wrong size or is not finite.
+            UnknownNameError: The frame does not exist; lists near matches.
         """
         return self.frame_kinematics(frame).pose(q)
 
     forward_kinematics = pose  # its common name in other libraries
 
     def position(self, q: ArrayLike, frame: FrameLike) -> Float[np.ndarray, " 3"]:
-        """Return the origin of the frame in the robot's base [m]: the last column of `pose`.
+        """Return the position (3,) of a frame's origin in the robot's base frame [m].
 
         Args:
-            q: Configuration (nq) or joint positions (nv) [rad or m].
+            q: Configuration (nq,) or joint positions (nv,) [rad or m].
             frame: Name of the frame, or the frame.
 
         Raises:
-            ConfigurationError: Wrong size or not finite.
-            UnknownNameError: No such frame; lists near matches.
+            ConfigurationError: q has the wrong size or is not finite.
+            UnknownNameError: The frame does not exist; lists near matches.
         """
         return self.frame_kinematics(frame).position(q)
 
@@ -486,16 +492,17 @@ class Robot:
         """Return the frame Jacobian, linear rows first.
 
         Args:
-            q: Configuration (nq) or joint positions (nv) [rad or m].
+            q: Configuration (nq,) or joint positions (nv,) [rad or m].
             frame: Name of the frame, or the frame.
             reference: Along the base axes (`"world"`) or along the frame's own axes (`"local"`).
 
         Returns:
-            Velocity of the frame's origin [m/s] and angular velocity [rad/s] per unit joint velocity.
+            Jacobian (6, nv): velocity of the frame's origin [m/s], then angular velocity [rad/s], per unit joint
+            velocity.
 
         Raises:
-            ConfigurationError: Wrong size or not finite.
-            UnknownNameError: No such frame; lists near matches.
+            ConfigurationError: q has the wrong size or is not finite.
+            UnknownNameError: The frame does not exist; lists near matches.
         """
         return self.frame_kinematics(frame).jacobian(q, reference)
 
@@ -505,16 +512,16 @@ class Robot:
         """Return the frame Jacobian J and its exact derivative dJ/dq.
 
         Args:
-            q: Configuration (nq) or joint positions (nv) [rad or m].
+            q: Configuration (nq,) or joint positions (nv,) [rad or m].
             frame: Name of the frame, or the frame.
             reference: Along the base axes (`"world"`) or along the frame's own axes (`"local"`).
 
         Returns:
-            J, and dJ/dq with entry [i, j, k] = d J_ij / d q_k along tangent coordinate k.
+            J (6, nv), and dJ/dq (6, nv, nv) with the entry [i, j, k] = d J_ij / d q_k along tangent coordinate k.
 
         Raises:
-            ConfigurationError: Wrong size or not finite.
-            UnknownNameError: No such frame; lists near matches.
+            ConfigurationError: q has the wrong size or is not finite.
+            UnknownNameError: The frame does not exist; lists near matches.
         """
         return self.frame_kinematics(frame).jacobian_and_derivative(q, reference)
 
@@ -533,17 +540,17 @@ class Robot:
 
     @property
     def mass(self) -> float:
-        """The mass of the moving links [kg]; links fixed to the base do not count."""
+        """Mass of the moving links [kg], without links that are fixed to the base."""
         return float(pin.computeTotalMass(self.pinocchio_model))
 
     def centre_of_mass(self, q: ArrayLike) -> Float[np.ndarray, " 3"]:
-        """Return the centre of mass of the moving links in the base frame [m].
+        """Return the centre of mass (3,) of the moving links in the base frame [m].
 
         Args:
-            q: Configuration (nq) or joint positions (nv) [rad or m].
+            q: Configuration (nq,) or joint positions (nv,) [rad or m].
 
         Raises:
-            ConfigurationError: Wrong size or not finite.
+            ConfigurationError: q has the wrong size or is not finite.
         """
         return pin.centerOfMass(self.pinocchio_model, self._data, self.pinocchio_configuration(q)).copy()
 
@@ -553,14 +560,14 @@ class Robot:
         """Return the Jacobian of the centre of mass and its exact derivative.
 
         Args:
-            q: Configuration (nq) or joint positions (nv) [rad or m].
+            q: Configuration (nq,) or joint positions (nv,) [rad or m].
 
         Returns:
-            Jacobian along the base axes [m/s per unit joint velocity], and its derivative with entry [i, j, k] =
-            d J_ij / d q_k along tangent coordinate k.
+            Jacobian J (3, nv) along the base axes [m/s per unit joint velocity], and its derivative (3, nv, nv) with
+            the entry [i, j, k] = d J_ij / d q_k along tangent coordinate k.
 
         Raises:
-            ConfigurationError: Wrong size or not finite.
+            ConfigurationError: q has the wrong size or is not finite.
         """
         model, data = self.pinocchio_model, self._data
         Jc = np.array(pin.jacobianCenterOfMass(model, data, self.pinocchio_configuration(q))).reshape(3, model.nv)
@@ -572,17 +579,19 @@ class Robot:
         return Jc, H
 
     def inertial_effort(self, q: ArrayLike, acceleration: Float[np.ndarray, " nv"]) -> Float[np.ndarray, " nv"]:
-        """Return M(q) a: the joint efforts that accelerate the links from rest, without gravity [N m or N].
+        """Return the joint efforts that accelerate the robot from rest, without gravity.
+
+        They are the product of the joint-space inertia matrix M(q) and the acceleration.
 
         Args:
-            q: Configuration (nq) or joint positions (nv) [rad or m].
-            acceleration: Joint accelerations a [rad/s^2 or m/s^2].
+            q: Configuration (nq,) or joint positions (nv,) [rad or m].
+            acceleration: Joint accelerations (nv,) [rad/s^2 or m/s^2].
 
         Returns:
-            Efforts (nv); zero for a description without masses.
+            Efforts (nv,) [N m or N]; zero for a description without masses.
 
         Raises:
-            ConfigurationError: Wrong size or not finite.
+            ConfigurationError: q has the wrong size or is not finite.
         """
         model, data, x, a = self.pinocchio_model, self._data, self.pinocchio_configuration(q), acceleration
         lift = None if self.coupling is None else self.coupling.lift
@@ -591,16 +600,16 @@ class Robot:
         return effort if lift is None else lift.T @ effort
 
     def with_payload(self, mass: float, frame: FrameLike, centre: ArrayLike = (0.0, 0.0, 0.0)) -> Robot:
-        """Return this robot with a mass in its hand, which adds to its inertia and its weight.
+        """Return a copy of this robot with a mass in its hand, which adds to its inertia and its weight.
 
         Args:
-            mass: Mass that the hand carries [kg]; it replaces a former payload.
+            mass: Mass that the hand carries [kg]; it replaces a previous payload.
             frame: Frame of the hand.
             centre: shape (3,), centre of the mass in that frame [m].
 
         Raises:
-            ConfigurationError: A mass that is negative or not finite, or a centre that is not three finite numbers.
-            UnknownNameError: No such frame; lists near matches.
+            ConfigurationError: The mass is negative or not finite, or the centre is not three finite numbers.
+            UnknownNameError: The frame does not exist; lists near matches.
         """
         place = finite(centre, 3)
         if not 0.0 <= mass < math.inf or place is None:
@@ -615,35 +624,40 @@ class Robot:
         return other
 
     def weight_effort(self, q: ArrayLike) -> Float[np.ndarray, " nv"]:
-        """Return the joint efforts that hold the links against gravity, for an upright base [N m or N].
+        """Return the joint efforts that compensate gravity, for a base whose z axis points up.
 
         Args:
-            q: Configuration (nq) or joint positions (nv) [rad or m].
+            q: Configuration (nq,) or joint positions (nv,) [rad or m].
 
         Returns:
-            Efforts (nv); zero for a description without masses.
+            Efforts (nv,) [N m or N]; zero for a description without masses.
 
         Raises:
-            ConfigurationError: Wrong size or not finite.
+            ConfigurationError: q has the wrong size or is not finite.
         """
         effort = pin.computeGeneralizedGravity(self.pinocchio_model, self._data, self.pinocchio_configuration(q))
         return effort.copy() if self.coupling is None else self.coupling.lift.T @ effort
 
     def hand_inertia(self, q: ArrayLike, frame: FrameLike) -> Float[np.ndarray, "6 6"] | None:
-        """Return (J M(q)^-1 J^T)^-1, the inertia of a frame's origin for forces and moments along the base axes.
+        r"""Return the inertia of a frame in operational space, for forces and moments along the base axes.
 
-        O. Khatib, "A unified approach for motion and force control of robot manipulators", 1987.
+        O. Khatib, "A unified approach for motion and force control of robot manipulators", 1987. With the frame's
+        Jacobian J and the joint-space inertia matrix M(q) it is
+
+        .. math::
+
+            (J \, M(q)^{-1} J^T)^{-1}
 
         Args:
-            q: Configuration (nq) or joint positions (nv) [rad or m].
+            q: Configuration (nq,) or joint positions (nv,) [rad or m].
             frame: Name of the frame, or the frame.
 
         Returns:
-            The inertia, linear rows first; None if a moving link was described without a mass.
+            Inertia matrix (6, 6), linear rows first [kg, kg m, kg m^2]; None if a moving link has no mass.
 
         Raises:
-            ConfigurationError: Wrong size or not finite.
-            UnknownNameError: No such frame; lists near matches.
+            ConfigurationError: q has the wrong size or is not finite.
+            UnknownNameError: The frame does not exist; lists near matches.
         """
         if not all(inertia.mass > 0.0 for inertia in list(self.pinocchio_model.inertias)[1:]):
             return None

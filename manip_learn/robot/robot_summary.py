@@ -22,15 +22,15 @@ from manip_learn.robot.visuals.visual_shapes import resolve_meshes, shape_faults
 @final
 @dataclass(frozen=True)
 class JointSummary:
-    """One degree of freedom.
+    """Facts about one degree of freedom.
 
     Attributes:
         name: Joint name; `base.x`, `base.rz`, ... for one coordinate of a floating or planar joint.
         kind: Type of the joint.
         unit: `"rad"` or `"m"`.
-        lower: Lower limit in that unit, -inf without one.
-        upper: Upper limit in that unit, inf without one.
-        velocity: Velocity limit in that unit per second, inf without one.
+        lower: Lower position limit [`unit`], -inf without one.
+        upper: Upper position limit [`unit`], inf without one.
+        velocity: Velocity limit [`unit` per second], inf without one.
     """
 
     name: str
@@ -44,15 +44,15 @@ class JointSummary:
 @final
 @dataclass(frozen=True)
 class CrossCheck:
-    """Difference between two readers of one URDF.
+    """Comparison of the forward kinematics from two independent readers of one URDF.
 
     Attributes:
-        largest_difference: Largest difference of an entry of the 4x4 poses of links relative to their parents, over all
-            links and postures [m, and no unit].
+        largest_difference: Largest difference of an entry of a link's pose (4, 4) relative to its parent link, over all
+            links and configurations (positions in m, rotations without a unit).
         link: Link with the largest difference.
-        postures: Number of random postures.
-        links: Number of links compared.
-        left_out: Parts that were not compared, in a sentence; empty if everything was.
+        postures: Number of random configurations.
+        links: Number of compared links.
+        left_out: Sentence about parts that were not compared; empty if all were.
     """
 
     largest_difference: float
@@ -70,25 +70,26 @@ class CrossCheck:
 @final
 @dataclass(frozen=True)
 class RobotSummary:
-    """Facts about a robot that `inspect` prints.
+    """Facts about a robot, as printed by `manip-learn inspect`.
 
     Attributes:
         name: Name of the robot.
-        source: File it was read from, or None.
+        source: File from which it was read; None if it was not read from a file.
         nq: Size of a configuration.
         nv: Degrees of freedom.
         joints: One entry per degree of freedom.
         frames: Names of frames.
         mimics: Mimic joints.
         locked: Locked joint -> position [rad or m].
-        tips: Likely tip frames, best first; with more than one, the user must choose.
-        moving_tip: Joints that move the first of them.
-        shapes: Sentence on the shapes that count for collisions.
-        warnings: Ignored and repaired parts, and unusable meshes.
-        cross_check: Independent check of forward kinematics; None if it failed, with the reason as the last warning.
-        meshes_found: Address in the URDF -> file.
-        meshes_missing: Address in the URDF -> reason.
-        fingerprint: Hash of the kinematics.
+        tips: Frames that are likely to be the tip, the most likely first; if there are several, the user must choose.
+        moving_tip: Names of the joints that move the first of these frames.
+        shapes: Sentence about the shapes used for collision checks.
+        warnings: Sentences about ignored and repaired parts of the description, and unusable meshes.
+        cross_check: Independent check of forward kinematics; None if it was not possible, with the reason as the last
+            warning.
+        meshes_found: Address of a mesh in the URDF -> file.
+        meshes_missing: Address of a mesh in the URDF -> reason why it was not found.
+        fingerprint: `Robot.fingerprint`.
     """
 
     name: str
@@ -110,12 +111,12 @@ class RobotSummary:
 
 
 def inspect_robot(robot: Robot, seed: int = 0, postures: int = 10) -> RobotSummary:
-    """Summarise a robot, with an independent check of its forward kinematics at random postures.
+    """Summarise a robot, and check its forward kinematics with a second reader at random configurations.
 
     Args:
         robot: A loaded robot.
-        seed: Seed of the random postures.
-        postures: Number of random postures.
+        seed: Seed of the random configurations.
+        postures: Number of random configurations.
 
     Returns:
         The summary; its warnings include a failed or impossible check.
@@ -149,12 +150,12 @@ def inspect_robot(robot: Robot, seed: int = 0, postures: int = 10) -> RobotSumma
 
 
 def cross_check(robot: Robot, rng: np.random.Generator, n: int = 10) -> CrossCheck:
-    """Compare the pose of every link at random postures with yourdfpy's pose from the same URDF.
+    """Compare the pose of every link at random configurations with the pose that yourdfpy computes from the same URDF.
 
     Args:
         robot: A loaded robot.
-        rng: Source of the postures.
-        n: Number of postures.
+        rng: Source of random numbers.
+        n: Number of configurations.
 
     Returns:
         The largest difference and its link.

@@ -1,8 +1,8 @@
-"""Rotation matrices and rotation vectors of single poses in plain floats: a few microseconds each, for control loops.
+"""Fast conversions between rotation matrices and rotation vectors: a few microseconds each, for control loops.
 
-Also rates of rotation vectors: the left Jacobian of SO(3) and its inverse (J. Sola et al., "A micro Lie theory for
-state estimation in robotics", equations (145) and (146)). The right Jacobian of a vector is the left one of its
-negative.
+Also the left Jacobian of SO(3) and its inverse, which give the rates of rotation vectors (J. Sola et al., "A micro Lie
+theory for state estimation in robotics", equations (145) and (146)). The right Jacobian of a vector is the left
+Jacobian of its negative.
 
 (For one rotation SciPy's Rotation takes 10 times as long; Pinocchio's logarithm loses digits close to half a turn.)
 """
@@ -18,13 +18,13 @@ SMALL_ANGLE = 0.1  # [rad] below it the coefficients come from their series, whi
 
 
 def rotation_vector(R: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, " 3"]:
-    """Return axis times angle of a rotation matrix [rad], accurate to 1e-15 at every angle.
+    """Convert a rotation matrix to a rotation vector, accurate to 1e-15 at every angle.
 
     Args:
-        R: Rotation matrix.
+        R: Rotation matrix (3, 3).
 
     Returns:
-        The rotation vector; its length is the angle, in [0, pi].
+        Rotation vector (3,), axis times angle [rad]; its length is in [0, pi].
     """
     (a, b, c), (d, e, f), (g, h, i) = R.tolist()
     # compute the quaternion from its largest part to avoid small divisors
@@ -48,10 +48,13 @@ def rotation_vector(R: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, " 3"]:
 
 
 def rotation_vectors(R: Float[np.ndarray, "n 3 3"]) -> Float[np.ndarray, "n 3"]:
-    """Return `rotation_vector` for many rotation matrices at once [rad].
+    """Convert many rotation matrices to rotation vectors at once, see `rotation_vector`.
 
     Args:
-        R: Rotation matrices.
+        R: Rotation matrices (n, 3, 3).
+
+    Returns:
+        Rotation vectors (n, 3) [rad].
     """
     (a, b, c), (d, e, f), (g, h, i) = R.transpose(1, 2, 0)
     x, y, z, xy, xz, yz = h - f, c - g, d - b, b + d, c + g, f + h
@@ -73,20 +76,20 @@ def rotation_vectors(R: Float[np.ndarray, "n 3 3"]) -> Float[np.ndarray, "n 3"]:
 
 
 def angles_between(one: Float[np.ndarray, "3 3"], others: Float[np.ndarray, "n 3 3"]) -> Float[np.ndarray, " n"]:
-    """Return the angle between one orientation and each of the others [rad].
+    """Return the angle between one orientation and each of several others [rad].
 
     Args:
-        one: Rotation matrix.
-        others: Rotation matrices.
+        one: Rotation matrix (3, 3).
+        others: Rotation matrices (n, 3, 3).
     """
     return np.linalg.norm(rotation_vectors(others @ one.T), axis=1)
 
 
 def rotation_matrix(vector: Float[np.ndarray, " 3"]) -> Float[np.ndarray, "3 3"]:
-    """Return the rotation matrix of a rotation vector.
+    """Convert a rotation vector to a rotation matrix.
 
     Args:
-        vector: Axis times angle [rad].
+        vector: Rotation vector (3,), axis times angle [rad].
     """
     x, y, z = vector.tolist()
     angle = math.hypot(x, y, z)
@@ -102,19 +105,23 @@ def rotation_matrix(vector: Float[np.ndarray, " 3"]) -> Float[np.ndarray, "3 3"]
 
 
 def skew(v: Float[np.ndarray, " 3"]) -> Float[np.ndarray, "3 3"]:
-    """Return the matrix of u -> v x u.
+    """Return the skew-symmetric matrix [v]x, whose product with a vector u is the cross product v x u.
 
     Args:
-        v: First factor of the cross product.
+        v: Vector (3,), the first factor of the cross product.
     """
     x, y, z = v.tolist()
     return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
 
 
 def left_jacobian(vector: Float[np.ndarray, " 3"]) -> Float[np.ndarray, "3 3"]:
-    """Return J with w = J dr/dt, where R = exp([r]x) rotates with the angular velocity w (in the axes of r).
+    """Return the left Jacobian J of SO(3), which turns the rate of a rotation vector r into the angular velocity J
+    dr/dt.
 
-    J = I + (1 - cos a) / a^2 [r]x + (a - sin a) / a^3 [r]x^2, a = |r|; equation (145) of Sola et al.
+    The angular velocity is along the fixed axes in which r is given. Equation (145) of Sola et al., with the angle |r|
+    called alpha:
+
+        J = I + (1 - cos alpha) / alpha^2 [r]x + (alpha - sin alpha) / alpha^3 [r]x^2
 
     Args:
         vector: Rotation vector r [rad].
@@ -131,10 +138,11 @@ def left_jacobian(vector: Float[np.ndarray, " 3"]) -> Float[np.ndarray, "3 3"]:
 
 
 def left_jacobian_inverse(vector: Float[np.ndarray, " 3"]) -> Float[np.ndarray, "3 3"]:
-    """Return the inverse of `left_jacobian`, dr/dt = J^-1 w; finite for angles below a full turn, half a turn included.
+    """Return the inverse of `left_jacobian`, which turns an angular velocity into the rate of the rotation vector r.
 
-    J^-1 = I - [r]x / 2 + (1 - (a / 2) cot(a / 2)) / a^2 [r]x^2, a = |r|;  [r]x^2 = r r^T - a^2 I; equation (146) of
-    Sola et al.
+    It is finite for angles below a full turn. Equation (146) of Sola et al., with the angle |r| called alpha:
+
+        J^-1 = I - [r]x / 2 + (1 - (alpha / 2) cot(alpha / 2)) / alpha^2 [r]x^2
 
     Args:
         vector: Rotation vector r [rad].

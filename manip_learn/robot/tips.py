@@ -25,11 +25,11 @@ FINGER = re.compile(r"finger|thumb|knuckle|jaw|claw")
 
 
 def likely_tips(robot: Robot) -> tuple[str, ...]:
-    """Return links that may be the tip, the most likely first; with more than one, the user must choose.
+    """Return the names of links that may be the tip of the arm, the most likely first.
 
     Candidates are links at the ends of chains, without fingers unless the robot is a gripper: links named like a tool
-    centre point, else like a tool, else like a hand; without such names, the ends of the chains with the most joints. A
-    link above another candidate is not a candidate, and neither is a copy of the link above it.
+    centre point; if there are none, like a tool; if there are none, like a hand; else the ends of the chains with the
+    most joints. A link above another candidate is left out, and so is a copy of the link above it.
 
     Args:
         robot: A loaded robot.
@@ -75,10 +75,10 @@ def _finger_joints(robot: Robot, movers: dict[str, frozenset[int]]) -> set[int]:
 
 
 def default_tip(robot: Robot) -> str:
-    """Return the default for the tip frame: the first of `likely_tips`.
+    """Return the default tip frame, the first of `likely_tips`.
 
-    If there is only one, it is also the frame of `manip-learn learn` without --frame; of several, it is the one moved
-    by the most joints, then the first by name. Without any, it is the last link with the most joints above it.
+    Among several it is the link moved by the most joints, then the first by name. Without any, it is the last link with
+    the most joints above it. `manip-learn learn` without `--frame` uses it only if there is exactly one.
 
     Args:
         robot: A loaded robot.
@@ -92,9 +92,9 @@ def default_tip(robot: Robot) -> str:
 
 
 def distance_to_last_joint(robot: Robot, frame: str) -> float:
-    """Return the distance from the origin of a frame to the origin of the last moving joint above it [m].
+    """Return the distance from the origin of a frame to the origin of the moving joint that carries it [m].
 
-    It is the same at every posture.
+    It does not depend on the configuration.
 
     Args:
         robot: A loaded robot.

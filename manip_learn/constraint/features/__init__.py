@@ -1,4 +1,4 @@
-"""Feature maps Phi(q), the rows out of which a constraint selects."""
+"""Feature maps Phi(q): matrices whose rows a constraint A(q) = Lambda Phi(q) selects and combines."""
 
 from manip_learn.constraint.features.feature_map import FeatureMap
 from manip_learn.constraint.features.frame_jacobian import FrameJacobian, RelativeFrameJacobian

@@ -23,23 +23,30 @@ ErrorAndRate = tuple[Float[np.ndarray, " p"], Float[np.ndarray, "p nv"] | None]
 
 
 class FeatureMap(ABC):
-    """Phi(q), shape (p, nv), and its exact derivative; A(q) = Lambda Phi(q) combines its rows.
+    r"""Base class of features Phi(q), a matrix (p, nv) whose rows a constraint combines.
 
-    A child defines `derivative`, or `value_and_derivative` if the two share work.
+    .. math::
 
-    Attributes of every child:
+        A(q) = \Lambda \, \Phi(q)
+
+    To add features, derive a class that defines `__call__` (which returns Phi(q)) and the exact `derivative`, or
+    `value_and_derivative` if the two share work.
+
+    Every child class has these attributes:
+
+    Attributes:
         nv: Number of velocities that the rows act on.
         row_names: One name per row, e.g. `("x", "y", "rz")`.
-        row_units: Unit of each row times a velocity, e.g. `("m/s", "m/s", "rad/s")`.
-        twist: All six rows of the frame, along axes fixed in the base or in `relative_to` (`PoseRows`); None without a
-        frame.
-        own_axes: For velocities along and about x y z, True if these are the frame's own axes; None for other rows.
+        row_units: Unit of the velocity of each row, i.e. of Phi(q) u, e.g. `("m/s", "m/s", "rad/s")`.
+        twist: Features of all six components of the frame's twist, along axes fixed in the base or in `relative_to`
+            (`PoseRows`); None for features without a frame.
+        own_axes: For velocities along and about x y z: True if these axes turn with the frame. None for other rows.
         relative_to: The reference frame of the rows; None for the robot's base.
-        geometry: Place of the mechanism whose rows these are; None for other rows.
-        curve: Curve across and along which the rows are; None for other rows.
+        geometry: Axis and point of the mechanism to which the rows refer; None for other rows.
+        curve: Curve to which the rows refer; None for other rows.
         robot: The robot; None for a system without one.
         kind: Name of the class in a constraint file; empty if the features cannot be saved.
-        saved: Constructor arguments in a file, except the robot -> names of their attributes.
+        saved: Each constructor argument that is saved in a file -> name of the attribute with its value.
     """
 
     twist: Any = None
@@ -61,7 +68,7 @@ class FeatureMap(ABC):
 
     @abstractmethod
     def __call__(self, q: ArrayLike) -> Float[np.ndarray, "p nv"]:
-        """Return Phi(q).
+        """Evaluate the feature matrix Phi(q).
 
         Args:
             q: Joint configuration (nq,) or positions (nv,) [rad or m].
@@ -71,7 +78,7 @@ class FeatureMap(ABC):
         """
 
     def derivative(self, q: ArrayLike) -> Float[np.ndarray, "p nv nv"]:
-        """Return dPhi/dq, exact.
+        """Return the exact derivative dPhi/dq.
 
         Args:
             q: Joint configuration (nq,) or positions (nv,) [rad or m].
@@ -85,7 +92,7 @@ class FeatureMap(ABC):
         return self.value_and_derivative(q)[1]
 
     def value_and_derivative(self, q: ArrayLike) -> tuple[Float[np.ndarray, "p nv"], Float[np.ndarray, "p nv nv"]]:
-        """Return Phi(q) and dPhi/dq together; cheaper than two calls if a child shares work.
+        """Return Phi(q) and dPhi/dq; for some features this is faster than two calls.
 
         Args:
             q: Joint configuration (nq,) or positions (nv,) [rad or m].
@@ -120,7 +127,9 @@ class FeatureMap(ABC):
         return Phi, np.reshape([one for _, one in values], (*Phi.shape, self.nv))
 
     def coordinates(self, q: ArrayLike) -> Float[np.ndarray, " p"]:
-        """Return task coordinates r(q); their rate is Phi(q) u, or `coordinates_jacobian(q)` u if that is not None.
+        """Return the task coordinates r(q), e.g. the position of a frame.
+
+        Their rate is Phi(q) u, or `coordinates_jacobian(q)` times u if that is not None.
 
         Args:
             q: Joint configuration (nq,) or positions (nv,) [rad or m].
@@ -134,50 +143,51 @@ class FeatureMap(ABC):
         raise FeatureError(f"{self!r} has no task coordinates: use a task that returns b itself")
 
     def error_and_jacobian(self, target: ArrayLike, q: ArrayLike) -> ErrorAndRate:
-        """Return the displacement e from r(q) to the target along the rows' axes, and E: de/dt = -E u for a fixed
-        target.
+        """Return the displacement e from r(q) to a target, along the axes of the rows, and the matrix E of its rate.
+
+        For a fixed target and the joint velocity u, the rate of e is -E u.
 
         Args:
-            target: p coordinates in the order of the rows.
+            target: Task coordinates (p,) in the order of the rows.
             q: Joint configuration (nq,) or positions (nv,) [rad or m].
 
         Returns:
-            e (p,), and E (p, nv) or None if it is Phi(q) itself.
+            e (p,) and E (p, nv); None instead of E if it is Phi(q) itself.
 
         Raises:
-            TargetError: Wrong size or not finite.
+            TargetError: The target has the wrong size or is not finite.
             FeatureError: The rows have no coordinates.
         """
         return self._goal(target) - self.coordinates(q), self.coordinates_jacobian(q)
 
     def error_to(self, target: ArrayLike, q: ArrayLike) -> Float[np.ndarray, " p"]:
-        """Return the displacement of `error_and_jacobian`.
+        """Return the displacement from the task coordinates at q to a target, along the axes of the rows.
 
         Args:
-            target: p coordinates in the order of the rows.
+            target: Task coordinates (p,) in the order of the rows.
             q: Joint configuration (nq,) or positions (nv,) [rad or m].
 
         Returns:
-            e (p,).
+            Displacement (p,), in the units of the coordinates.
 
         Raises:
-            TargetError: Wrong size or not finite.
+            TargetError: The target has the wrong size or is not finite.
             FeatureError: The rows have no coordinates.
         """
         return self.error_and_jacobian(target, q)[0]
 
     def error_jacobian(self, target: ArrayLike, q: ArrayLike) -> Float[np.ndarray, "p nv"] | None:
-        """Return E of `error_and_jacobian`.
+        """Return the matrix E with which the displacement to a fixed target changes at the rate -E u.
 
         Args:
-            target: p coordinates in the order of the rows.
+            target: Task coordinates (p,) in the order of the rows.
             q: Joint configuration (nq,) or positions (nv,) [rad or m].
 
         Returns:
             E (p, nv), or None if it is Phi(q) itself.
 
         Raises:
-            TargetError: Wrong size or not finite.
+            TargetError: The target has the wrong size or is not finite.
             FeatureError: The rows have no coordinates.
         """
         return self.error_and_jacobian(target, q)[1]
@@ -186,7 +196,7 @@ class FeatureMap(ABC):
         """Return a target as numbers in the order of the rows.
 
         Raises:
-            TargetError: Wrong size or not finite.
+            TargetError: The target has the wrong size or is not finite.
         """
         goal = np.asarray(target, dtype=np.float64)
         if goal.shape != (self.n_rows,) or not np.all(np.isfinite(goal)):
@@ -195,52 +205,53 @@ class FeatureMap(ABC):
         return goal
 
     def coordinates_jacobian(self, q: ArrayLike) -> Float[np.ndarray, "p nv"] | None:
-        """Return C(q) = dr/dq, with dr/dt = C u.
+        """Return the derivative dr/dq of the task coordinates; their rate is this matrix times u.
 
         Args:
             q: Joint configuration (nq,) or positions (nv,) [rad or m].
 
         Returns:
-            shape (p, nv), or None if it is Phi(q) itself, e.g. for positions.
+            shape (p, nv), or None if the derivative is Phi(q) itself, e.g. for positions.
         """
         return None
 
     # ---- mechanisms, for rows of one frame
 
     def mechanism(self, selection: Selection, learnt: Mapping[str, Any]) -> Mechanism | None:
-        """Return the mechanism that leaves the same motions free as Lambda, read from these rows.
+        """Return the mechanism that constrains the rows selected by Lambda.
 
         Args:
             selection: Lambda (s, p) with orthonormal rows.
-            learnt: Provenance of Lambda, with its error and the recorded postures; empty if it was not learnt.
+            learnt: Provenance of the constraint, with the uncertainty of Lambda and the recorded configurations; empty
+                if it was not learnt.
 
         Returns:
-            The mechanism; None if the rows are no known mechanism.
+            The mechanism; None if no known mechanism has these rows.
         """
         return None
 
     def kind_of(self, selection: Selection, immovable: Selection, places: Float[np.ndarray, "n 3"]) -> Match | None:
-        """Return kind and place of the mechanism that makes these rows zero.
+        """Identify the mechanism that holds Lambda Phi(q) u at zero.
 
         Args:
             selection: Lambda (s, p) with orthonormal rows.
-            immovable: Orthonormal rows (m, p) that this arm cannot move.
-            places: Positions of the hand (n, 3) [m].
+            immovable: Orthonormal combinations (m, p) of the rows along which this arm cannot move at all.
+            places: Positions (n, 3) of the hand [m].
 
         Returns:
-            Kind and place; None if the rows are no known mechanism.
+            Kind of mechanism, and its axis and point; None if no known mechanism has these rows.
         """
         return None
 
     def named(self, selection: Selection, mechanism: Mechanism | None) -> Selected:
-        """Return Phi and Lambda with rows named after the mechanism, for features without such names (`PlaceRows`).
+        """Return the same constraint in rows that are named after its mechanism; only `PlaceRows` change.
 
         Args:
             selection: Lambda (s, p) with orthonormal rows.
-            mechanism: The mechanism of these rows; None if there is none.
+            mechanism: The mechanism that these rows describe; None if it is not known.
 
         Returns:
-            Phi and Lambda; unchanged for other features.
+            Phi and Lambda; these features and `selection` if the features are no `PlaceRows`.
         """
         return self, selection
 
@@ -248,11 +259,11 @@ class FeatureMap(ABC):
         """Return Phi and Lambda after a rigid motion of the mechanism, p' = R p + t in the base frame.
 
         Args:
-            transform: Rigid motion (4, 4) in the base frame [m].
+            transform: Homogeneous matrix (4, 4) of R and t, in the base frame [m].
             selection: Lambda (s, p).
 
         Returns:
-            Phi and Lambda; unchanged if the rows do not depend on the place.
+            Phi and Lambda; these features and `selection` if the motion does not change them.
         """
         return self, selection
 
@@ -263,7 +274,7 @@ class FeatureMap(ABC):
             selection: Lambda (s, p) with orthonormal rows.
 
         Returns:
-            Phi with all angular rows, and Lambda with the rotations that these rows do not constrain yet.
+            Phi with all angular rows, and Lambda with additional rows for the rotations that `selection` leaves free.
 
         Raises:
             ConstraintError: The features have no frame with an orientation.
@@ -294,10 +305,10 @@ class FeatureMap(ABC):
         return make(self.robot, **{name: described[name] for name in self.saved if name in described})  # type: ignore[call-arg]
 
     def describe(self) -> dict[str, Any]:
-        """Return the entries of a constraint file that rebuild this feature map: kind, arguments and units.
+        """Return a description from which the feature map can be built again, as in a constraint file.
 
         Returns:
-            Values for JSON.
+            Dictionary of JSON values: kind, constructor arguments and units of the rows.
 
         Raises:
             FeatureError: The features are Python functions, which cannot be saved.
@@ -350,7 +361,7 @@ def parse_axes(axes: str | Sequence[str], known: Collection[str] = AXES, what: s
     Args:
         axes: For example `"x y rz"`; `"xyz"`, `"pose"`, `"planar"` or `"rotation"` for a set of axes.
         known: Valid names.
-        what: Noun for one name in error messages.
+        what: Noun for such a name in error messages, e.g. `"axis"`.
 
     Returns:
         The names in the given order.
@@ -376,7 +387,7 @@ def sum_in_words(row: Float[np.ndarray, " p"], names: Sequence[str], form: str, 
         row: Coefficients (p,).
         names: Names of the p rows.
         form: Format of a coefficient, e.g. `"+.1f"`.
-        least: Coefficients of this size or smaller are left out.
+        least: Terms whose coefficient has at most this absolute value are left out.
 
     Returns:
         The text; empty if all coefficients are left out.

@@ -41,26 +41,25 @@ from manip_learn.robot.rotations import left_jacobian, left_jacobian_inverse, ro
 
 
 def pose_coordinates(pose: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, " 6"]:
-    """Return position [m] and rotation vector [rad] of a pose.
+    """Return position and rotation vector of a pose.
 
     Args:
-        pose: shape (4, 4) [m].
+        pose: Homogeneous matrix (4, 4) [m].
 
     Returns:
-        shape (6,), in the frame of the pose's reference.
+        shape (6,): position [m], then rotation vector [rad], in the frame in which the pose is given.
     """
     return np.concatenate([pose[:3, 3], rotation_vector(pose[:3, :3])])
 
 
 def goal_rotation(R: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "3 3"]:
-    """Return the rotation in the upper left part of a 4 x 4 goal pose, made orthonormal if it was printed with few
-    digits.
+    """Check the rotation matrix of a goal pose, and make it orthonormal if it has rounding errors.
 
     Args:
-        R: shape (3, 3), orthonormal to 1e-3.
+        R: Rotation matrix (3, 3), orthonormal to 1e-3 (e.g. printed with few digits).
 
     Returns:
-        shape (3, 3).
+        Rotation matrix (3, 3).
 
     Raises:
         TargetError: The matrix is not a rotation.
@@ -74,15 +73,15 @@ def goal_rotation(R: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "3 3"]:
 def pose_error(
     pose: Float[np.ndarray, "4 4"], goal: Float[np.ndarray, "4 4"], own_axes: bool
 ) -> Float[np.ndarray, " 6"]:
-    """Return the twist from a pose to a goal [m, rad].
+    """Return the displacement from a pose to a goal.
 
     Args:
-        pose: shape (4, 4) [m].
-        goal: shape (4, 4), in the same reference frame [m].
-        own_axes: True for the axes of the posed frame, False for the axes of the reference frame.
+        pose: Pose (4, 4) of a frame [m].
+        goal: Goal pose (4, 4) of this frame, in the same reference frame [m].
+        own_axes: True for components along the axes of the frame at `pose`, False for the axes of the reference frame.
 
     Returns:
-        shape (6,): translation, then rotation vector.
+        shape (6,): translation [m], then rotation vector [rad].
     """
     R = pose[:3, :3]
     error = np.concatenate([goal[:3, 3] - pose[:3, 3], rotation_vector(goal[:3, :3].dot(R.T))])
@@ -90,14 +89,17 @@ def pose_error(
 
 
 class PoseRows(FeatureMap):
-    """Rows of the twist of a frame, relative to the base, to itself or to another frame, and the error of its pose.
+    """Base class of features that are components of a frame's twist, with the error of its pose.
 
-    Attributes of every child:
+    Every child class has these attributes:
+
+    Attributes:
         frame: The frame.
         relative_to: The reference frame; None for the robot's base.
-        seen_from: Argument `relative_to` of rows with the same frame and reference; empty for the base.
-        only_linear: True if the rows are positions along axes that do not turn with the frame.
-        own_axes: True if the rows are along the frame's own axes.
+        seen_from: Keyword argument `relative_to` for the constructor of other features with the same reference frame;
+            empty for the base.
+        only_linear: True if all rows are linear velocities along axes that do not turn with the frame.
+        own_axes: True if the rows are along axes that turn with the frame.
     """
 
     own_axes: bool
@@ -121,28 +123,29 @@ class PoseRows(FeatureMap):
         return self.changed(axes=AXES)
 
     def kind_of(self, selection: Selection, immovable: Selection, places: Float[np.ndarray, "n 3"]) -> Match | None:
-        """Return kind and place of a mechanism whose rows are the same everywhere.
+        """Identify the mechanism that holds Lambda Phi(q) u at zero: a line, a plane, or a held orientation.
 
         Args:
             selection: Lambda (s, p) with orthonormal rows.
-            immovable: Orthonormal rows (m, p) that this arm cannot move.
-            places: Positions of the hand (n, 3) [m].
+            immovable: Orthonormal combinations (m, p) of the rows along which this arm cannot move at all.
+            places: Positions (n, 3) of the hand [m]; the point of the mechanism is their mean.
 
         Returns:
-            Kind and place; None if the rows are no known mechanism, or are along the frame's own axes.
+            Kind of mechanism, and its axis and point; None if no known mechanism has these rows, or if the rows are
+            along axes that turn with the frame.
         """
         zero, blind = (embed_rows(self.row_names, rows, distance=True) for rows in (selection, immovable))
         return None if self.own_axes else read_point_rows(zero, blind, places.mean(axis=0))
 
     def mechanism(self, selection: Selection, learnt: Mapping[str, Any]) -> Mechanism | None:
-        """Return the mechanism of constant rows of the frame's origin; it has a direction but no place.
+        """Return the mechanism that constrains the rows selected by Lambda; its point is not known from these rows.
 
         Args:
             selection: Lambda (s, p) with orthonormal rows.
-            learnt: Provenance of Lambda, with its error; empty if it was not learnt.
+            learnt: Provenance of the constraint, with the uncertainty of Lambda; empty if it was not learnt.
 
         Returns:
-            The mechanism; None if the rows are no known mechanism.
+            The mechanism, whose point is None; None if no known mechanism has these rows.
         """
         hand, rows = np.zeros(3), embed_rows(self.row_names, selection, distance=True)
         if is_firm := self.own_axes and len(selection) == 5 and self.n_rows == len(AXES):
@@ -163,14 +166,14 @@ class PoseRows(FeatureMap):
 
     @cached_property
     def twist(self) -> PoseRows:  # type: ignore[override]
-        """All six rows, along axes that do not turn with the frame."""
+        """Features of all six components of the frame's twist, along axes that do not turn with the frame."""
         return type(self)(self.robot, self.frame.name, axes=AXES, **self.seen_from)  # type: ignore[call-arg]
 
     def weights_at(self, poses: Float[np.ndarray, "n 4 4"]) -> Float[np.ndarray, "n p 6"]:
-        """Return the weights of the rows of `twist` in these rows.
+        """Return at each pose the matrix that turns the six rows of `twist` into these rows.
 
         Args:
-            poses: Poses of the frame (n, 4, 4) in the reference frame.
+            poses: Poses (n, 4, 4) of the frame, in the base frame or in `relative_to` [m].
 
         Returns:
             shape (n, p, 6).
@@ -189,13 +192,13 @@ class PoseRows(FeatureMap):
             shape (4, 4) [m].
 
         Raises:
-            ConfigurationError: Wrong size or not finite.
+            ConfigurationError: q has the wrong size or is not finite.
         """
         pose = self.robot.pose(q, self.frame)
         return pose if self.relative_to is None else np.linalg.inv(self.robot.pose(q, self.relative_to)) @ pose
 
     def poses(self, q: ArrayLike) -> Float[np.ndarray, "n 4 4"]:
-        """Return the poses of `pose` at n configurations.
+        """Return the poses of the frame at n configurations, in the base frame or in `relative_to`.
 
         Args:
             q: Joint configurations (n, nq) or positions (n, nv) [rad or m].
@@ -209,7 +212,7 @@ class PoseRows(FeatureMap):
         return np.linalg.inv(self.robot.frame_kinematics(self.relative_to).poses(q)) @ poses
 
     def placement(self, q: ArrayLike) -> tuple[Float[np.ndarray, " 3"], Float[np.ndarray, "3 3"]]:
-        """Return position and rotation of `pose`.
+        """Return position and rotation of the frame, in the base frame or in `relative_to`.
 
         Args:
             q: Joint configuration (nq,) or positions (nv,) [rad or m].
@@ -227,41 +230,41 @@ class PoseRows(FeatureMap):
             q: Joint configuration (nq,) or positions (nv,) [rad or m].
 
         Raises:
-            ConfigurationError: Wrong size or not finite.
+            ConfigurationError: q has the wrong size or is not finite.
         """
         return self.twist_rows(q, self.own_axes)[self._rows]
 
     @abstractmethod
     def twist_rows(self, q: ArrayLike, own_axes: bool) -> Float[np.ndarray, "6 nv"]:
-        """Return all six rows, as a new array that the caller may change.
+        """Return the Jacobian of all six components of the frame's twist, as a new array.
 
         Args:
             q: Joint configuration (nq,) or positions (nv,) [rad or m].
-            own_axes: True for the axes of the frame, False for the axes of the reference frame.
+            own_axes: True for components along the axes of the frame, False for the axes of the reference frame.
 
         Returns:
             shape (6, nv) [m/s or rad/s per unit joint velocity].
         """
 
     def coordinates(self, q: ArrayLike) -> Float[np.ndarray, " p"]:
-        """Return the selected coordinates among the position of the frame's origin [m] and its rotation vector [rad].
+        """Return the components of the frame's position and rotation vector that belong to the rows.
 
         Args:
             q: Joint configuration (nq,) or positions (nv,) [rad or m].
 
         Returns:
-            shape (p,), in the base frame or in the frame `relative_to`.
+            shape (p,) [m or rad], in the base frame or in the frame `relative_to`.
         """
         return pose_coordinates(self.pose(q))[self._rows]
 
     def coordinates_jacobian(self, q: ArrayLike) -> Float[np.ndarray, "p nv"] | None:
-        """Return the rate of the coordinates per unit joint velocity, exact.
+        """Return the exact derivative dr/dq of `coordinates`; their rate is this matrix times u.
 
         Args:
             q: Joint configuration (nq,) or positions (nv,) [rad or m].
 
         Returns:
-            shape (p, nv); None for positions, where it is Phi(q).
+            shape (p, nv). None if `only_linear` is True, because the derivative is then Phi(q).
         """
         if self.only_linear:
             return None
@@ -270,20 +273,22 @@ class PoseRows(FeatureMap):
         return C[self._rows] @ self.twist_rows(q, False)
 
     def error_and_jacobian(self, target: ArrayLike, q: ArrayLike) -> ErrorAndRate:
-        """Return the displacement to a target along the axes of the rows, and E of `FeatureMap`.
+        """Return the displacement e to a target, along the axes of the rows, and the matrix E of its rate.
+
+        For a fixed target and the joint velocity u, the rate of e is -E u.
 
         Args:
-            target: p numbers in the order of the rows: position of the origin [m] and rotation vector of the frame
-                [rad], in the base frame or in `relative_to`; or a 4 x 4 pose. Coordinates that are not among the rows
-                count as reached.
+            target: Target (p,) in the order of the rows: components of the position of the frame's origin [m] and of
+                its rotation vector [rad], in the base frame or in `relative_to`. Or a pose (4, 4). Coordinates that are
+                not among the rows are assumed to be reached.
             q: Joint configuration (nq,) or positions (nv,) [rad or m].
 
         Returns:
-            e (p,) [m or rad], and E (p, nv); None instead of E for positions.
+            e (p,) [m or rad] and E (p, nv). None instead of E if `only_linear` is True, because E is then Phi(q).
 
         Raises:
-            TargetError: Wrong size, not finite, or rows along the frame's own axes that need all of x y z (or rx ry rz)
-                or a pose.
+            TargetError: The target has the wrong size or is not finite; or the rows are along axes that turn with the
+                frame, and the target lacks some of x y z (or of rx ry rz).
         """
         goal = np.asarray(target, dtype=np.float64)
         if self.only_linear and goal.shape == (self.n_rows,) and math.isfinite(goal.sum()):
@@ -334,10 +339,15 @@ class PoseRows(FeatureMap):
 
 @final
 class FrameJacobian(PoseRows):
-    """Rows of the Jacobian of one frame.
+    r"""Rows of the Jacobian of one frame, e.g. of the tool's tip.
 
-    The linear rows are the velocity of the frame's origin [m/s], the rotation rows the angular velocity [rad/s], along
-    the axes of the robot's base (`reference="world"`) or of the frame itself (`reference="local"`).
+    .. math::
+
+        \Phi(q) \, u = \text{selected components of } \begin{pmatrix} v \\ \omega \end{pmatrix} = J(q) \, u
+
+    The linear components v are the velocity of the frame's origin [m/s], the angular components :math:`\omega` its
+    angular velocity [rad/s], along the axes of the robot's base (`reference="world"`) or of the frame itself
+    (`reference="local"`).
 
     Args:
         robot: The robot.
@@ -347,8 +357,8 @@ class FrameJacobian(PoseRows):
         reference: `"world"` or `"local"`.
 
     Raises:
-        UnknownNameError: No such frame; lists near matches.
-        FeatureError: Unknown axes or reference, or arguments in another order.
+        UnknownNameError: The frame does not exist; lists near matches.
+        FeatureError: The axes or the reference are unknown, or the arguments are in the wrong order.
 
     Example:
         >>> import manip_learn as ml
@@ -370,7 +380,7 @@ class FrameJacobian(PoseRows):
         self._kinematics = robot.frame_kinematics(self.frame)
 
     def value_and_derivative(self, q: ArrayLike) -> tuple[Float[np.ndarray, "p nv"], Float[np.ndarray, "p nv nv"]]:
-        """Return Phi(q) and dPhi/dq at the cost of one Hessian.
+        """Return Phi(q) and dPhi/dq, at the cost of the derivative alone.
 
         Args:
             q: Joint configuration (nq,) or positions (nv,) [rad or m].
@@ -382,14 +392,15 @@ class FrameJacobian(PoseRows):
         return J[self._rows], H[self._rows]
 
     def moved(self, transform: Float[np.ndarray, "4 4"], selection: Selection) -> Selected:
-        """Return Phi and Lambda along rotated axes; rows in the frame's own axes do not change.
+        """Return Phi and Lambda after a rigid motion of the mechanism, p' = R p + t, which rotates the directions.
 
         Args:
-            transform: Rigid motion (4, 4) in the base frame [m].
+            transform: Homogeneous matrix (4, 4) of R and t, in the base frame [m].
             selection: Lambda (s, p).
 
         Returns:
-            Phi with all axes of a translation or a rotation, and Lambda.
+            Phi with the rows x y z, and rx ry rz if there are angular rows, and Lambda for these rows. These features
+            and `selection` if the rows are along axes that turn with the frame.
         """
         if self.own_axes:
             return self, selection
@@ -407,7 +418,7 @@ class FrameJacobian(PoseRows):
             shape (n, p, nv).
 
         Raises:
-            ConfigurationError: Wrong size or not finite; names the first bad row and joint.
+            ConfigurationError: q has the wrong size or is not finite; names the first bad row and joint.
         """
         return self._kinematics.jacobians(q, self.reference, self._row_numbers)
 
@@ -421,7 +432,7 @@ class FrameJacobian(PoseRows):
             Phi (n, p, nv) and dPhi/dq (n, p, nv, nv).
 
         Raises:
-            ConfigurationError: Wrong size or not finite; names the first bad row and joint.
+            ConfigurationError: q has the wrong size or is not finite; names the first bad row and joint.
         """
         return self._kinematics.jacobians_and_derivatives(q, self.reference, self._row_numbers)
 
@@ -437,11 +448,11 @@ class FrameJacobian(PoseRows):
         return self._kinematics.placement(q)
 
     def twist_rows(self, q: ArrayLike, own_axes: bool) -> Float[np.ndarray, "6 nv"]:
-        """Return the Jacobian along the axes of the base or of the frame.
+        """Return the Jacobian of the frame, along the axes of the base or of the frame.
 
         Args:
             q: Joint configuration (nq,) or positions (nv,) [rad or m].
-            own_axes: True for the axes of the frame, False for the axes of the base.
+            own_axes: True for components along the axes of the frame, False for the axes of the base.
 
         Returns:
             shape (6, nv) [m/s or rad/s per unit joint velocity].
@@ -451,16 +462,20 @@ class FrameJacobian(PoseRows):
 
 @final
 class RelativeFrameJacobian(PoseRows):
-    """Twist of one frame relative to another, along the axes of the other.
+    r"""Twist of one frame relative to a reference frame, along the axes of the reference frame.
 
-    With the frames A (`frame`) and B (`relative_to`), d = p_A - p_B and R = R_B, all from Jacobians J = (Jv, Jw) in the
-    base axes, the rows are
+    A tool that does not move relative to a moving part has zero velocity in these rows. Two arms that carry one object
+    are one robot with two tips. An object whose pose was recorded is a floating joint of the robot, see `objects` of
+    `load_robot`.
 
-        linear    R^T (Jv_A - Jv_B + [d]x Jw_B)      the rate of R^T d [m/s]
-        rotation  R^T (Jw_A - Jw_B)                  the angular velocity of A relative to B [rad/s]
+    With the frames A (`frame`) and B (`relative_to`), :math:`d = p_A - p_B`, the rotation matrix :math:`R_B` of B, and
+    the linear and angular Jacobians :math:`J_v` and :math:`J_\omega` along the axes of the base, the rows are the rate
+    of :math:`R_B^T d` [m/s] and the angular velocity of A relative to B [rad/s]:
 
-    so that a tool at rest on a moving part has zero velocity here. Two arms that carry one object are one robot with
-    two tips. An object with a recorded pose is a floating joint of the robot: see `objects` of `load_robot`.
+    .. math::
+
+        \Phi_\mathrm{linear} = R_B^T (J_{v,A} - J_{v,B} + [d]_\times J_{\omega,B}), \qquad
+        \Phi_\mathrm{angular} = R_B^T (J_{\omega,A} - J_{\omega,B})
 
     Args:
         robot: The robot with both frames.
@@ -469,8 +484,8 @@ class RelativeFrameJacobian(PoseRows):
         axes: `"xyz"`, `"pose"` (all six), `"planar"`, `"rotation"`, or any of `x y z rx ry rz`.
 
     Raises:
-        UnknownNameError: No such frame; lists near matches.
-        FeatureError: Unknown axes, or the same frame twice.
+        UnknownNameError: The frame does not exist; lists near matches.
+        FeatureError: The axes are unknown, or `frame` and `relative_to` are the same frame.
     """
 
     kind = "relative-frame-jacobian"
@@ -482,7 +497,7 @@ class RelativeFrameJacobian(PoseRows):
             raise FeatureError(f"frame {frame!r} does not move relative to itself: pass two frames")
 
     def value_and_derivative(self, q: ArrayLike) -> tuple[Float[np.ndarray, "p nv"], Float[np.ndarray, "p nv nv"]]:
-        """Return Phi(q) and dPhi/dq, by the same code as for n configurations.
+        """Return Phi(q) and dPhi/dq.
 
         Args:
             q: Joint configuration (nq,) or positions (nv,) [rad or m].
@@ -503,7 +518,7 @@ class RelativeFrameJacobian(PoseRows):
             shape (n, p, nv).
 
         Raises:
-            ConfigurationError: Wrong size or not finite; names the first bad row and joint.
+            ConfigurationError: q has the wrong size or is not finite; names the first bad row and joint.
         """
         both = (self.robot.frame_kinematics(frame) for frame in (self.frame, self.relative_to))
         return _relative_rows(*[(each.poses(q), each.jacobians(q)) for each in both])[0][:, self._rows]
@@ -518,18 +533,18 @@ class RelativeFrameJacobian(PoseRows):
             Phi (n, p, nv) and dPhi/dq (n, p, nv, nv).
 
         Raises:
-            ConfigurationError: Wrong size or not finite; names the first bad row and joint.
+            ConfigurationError: q has the wrong size or is not finite; names the first bad row and joint.
         """
         both = (self.robot.frame_kinematics(frame) for frame in (self.frame, self.relative_to))
         Phi, dPhi = _relative_rows(*[(each.poses(q), *each.jacobians_and_derivatives(q)) for each in both])
         return Phi[:, self._rows], dPhi[:, self._rows]
 
     def twist_rows(self, q: ArrayLike, own_axes: bool) -> Float[np.ndarray, "6 nv"]:
-        """Return all six rows, along the axes of the other frame.
+        """Return the Jacobian of all six components of the relative twist, along the axes of the reference frame.
 
         Args:
             q: Joint configuration (nq,) or positions (nv,) [rad or m].
-            own_axes: Ignored: the rows have no axes of their own frame.
+            own_axes: Not used: these features are always along the axes of the reference frame.
 
         Returns:
             shape (6, nv) [m/s or rad/s per unit joint velocity].

@@ -1,4 +1,4 @@
-"""Feature rows about an axis or a centre, for doors, handles, tethers and screws, and across a curve, for a rail."""
+"""Features relative to an axis or a centre (doors, handles, tethers, screws), and relative to a curve (rails)."""
 
 from __future__ import annotations
 
@@ -55,16 +55,16 @@ FORMS: dict[str, tuple[str, ...]] = {
 
 
 class WeighedVelocity(FeatureMap):
-    """Phi(q) = W(p(q)) J(q), with J the twist of a frame along the axes of the robot's base and p its origin.
+    """Base class of features Phi(q) = W(p(q)) J(q), combinations of a frame's twist that depend on its position.
 
-    Relative to another frame, J and p are the rows and the position of `RelativeFrameJacobian`, along the axes of that
-    frame.
+    J (6, nv) is the Jacobian of the frame along the axes of the robot's base, p (3,) the position of its origin, and W
+    (p, 6) a matrix of weights. Relative to another frame, J and p are those of `RelativeFrameJacobian`.
 
     Attributes:
         robot: The robot.
         frame: The frame.
         relative_to: The reference frame; None for the robot's base.
-        place_weights: W.
+        place_weights: The function W of the position.
     """
 
     place_weights: PlaceWeights | CurveWeights
@@ -76,13 +76,13 @@ class WeighedVelocity(FeatureMap):
         self.relative_to, self._relative_to = self.twist.relative_to, relative_to
 
     def weights_at(self, poses: Float[np.ndarray, "n 4 4"]) -> Float[np.ndarray, "n p 6"]:
-        """Return the weights of the rows of `twist` in these rows.
+        """Return W at each pose: the matrix that turns the frame's twist (6,) into the p feature rows.
 
         Args:
-            poses: Poses of the frame (n, 4, 4) in the base frame or in `relative_to` [m].
+            poses: Poses (n, 4, 4) of the frame, in the base frame or in `relative_to` [m].
 
         Returns:
-            shape (n, p, 6).
+            shape (n, p, 6), for twists along the axes of the base or of `relative_to`.
         """
         return self.place_weights.values(poses[:, :3, 3])
 
@@ -93,12 +93,12 @@ class WeighedVelocity(FeatureMap):
             q: Joint configuration (nq,) or positions (nv,) [rad or m].
 
         Raises:
-            ConfigurationError: Wrong size or not finite.
+            ConfigurationError: q has the wrong size or is not finite.
         """
         return self.place_weights.values(self.twist.placement(q)[0][None])[0] @ self.twist(q)
 
     def value_and_derivative(self, q: ArrayLike) -> tuple[Float[np.ndarray, "p nv"], Float[np.ndarray, "p nv nv"]]:
-        """Return Phi(q) and dPhi/dq = W dJ/dq + (dW/dp J_v) J.
+        """Return Phi(q) and its derivative, W dJ/dq + (dW/dp Jv) J, with the linear rows Jv of J.
 
         Args:
             q: Joint configuration (nq,) or positions (nv,) [rad or m].
@@ -119,7 +119,7 @@ class WeighedVelocity(FeatureMap):
             shape (n, p, nv).
 
         Raises:
-            ConfigurationError: Wrong size or not finite; names the first bad row and joint.
+            ConfigurationError: q has the wrong size or is not finite; names the first bad row and joint.
         """
         return self.weights_at(self.twist.poses(q)) @ self.twist.batch(q)
 
@@ -133,7 +133,7 @@ class WeighedVelocity(FeatureMap):
             Phi (n, p, nv) and dPhi/dq (n, p, nv, nv).
 
         Raises:
-            ConfigurationError: Wrong size or not finite; names the first bad row and joint.
+            ConfigurationError: q has the wrong size or is not finite; names the first bad row and joint.
         """
         W, dW = self.place_weights.at(self.twist.poses(q)[:, :3, 3])
         return _product(W, dW, *self.twist.batch_with_derivative(q))
@@ -148,28 +148,36 @@ def _product(W: np.ndarray, dW: np.ndarray, J: np.ndarray, H: np.ndarray) -> tup
 
 @final
 class MechanismRows(WeighedVelocity):
-    """Velocity of a frame relative to an axis through a point: rows whose direction depends on the position.
+    r"""Velocity of a frame relative to an axis through a point, in rows whose directions depend on the position.
 
-    Phi(q) = W(p(q)) J(q), with J the frame's Jacobian along the axes of the robot's base and p its origin. With the
-    axis a, the point c, and rho the distance of p from the axis:
+    .. math::
 
-    - `radial` (x / rho).v, away from the axis; `axial` a.v; `tangential` around the axis [m/s];
-    - `across-1`, `across-2`: along two fixed directions across the axis [m/s];
-    - `helical`: across the helix of the given pitch, along its cylinder [m/s];
-    - `spherical`: away from the point [m/s];
-    - `turn` a.w and `turn-1`, `turn-2`: angular velocity along the axis and along two directions across it [rad/s];
-    - `slide` a.v_c and `slide-1`, `slide-2`: velocity of the point of the hand that is at c [m/s];
-    - `screw` a.v_c - pitch a.w: zero for a hand that is fixed to a screw [m/s].
+        \Phi(q) = W(p(q)) \, J(q)
 
-    A hand fixed to a hinge makes `turn-1 turn-2 slide-1 slide-2 slide` zero; a hand that may turn about a door's handle
-    makes `radial axial` zero.
+    J is the frame's Jacobian along the axes of the robot's base, p the position of its origin, v and w its linear and
+    angular velocity. With the axis :math:`a`, the point c on it, :math:`v_c = v + w \times (c - p)` (the velocity of
+    the hand's point that is at c), the vector x from the axis to p and its length :math:`\rho`, the rows are
 
-    With the `radius` of the mechanism all rows are affine in p, and so a constant Lambda in the rows of `PlaceRows`:
-    `radial` is then (x / radius).v, and `tangential`, `helical` and `spherical` likewise. On the mechanism the values
-    are the same; at another distance `radial`, `tangential` and `spherical` grow with it, and `helical` belongs to the
-    helix at the radius. Without a radius, rho is the hand's own distance and the rows have unit length everywhere;
-    within 1e-5 m of the axis (or the centre) they fade to zero. On the axis the manipulability is zero in either case,
-    and its gradient finite.
+    - `radial`: velocity away from the axis, :math:`(x / \rho)^T v` [m/s];
+    - `axial`: velocity along the axis, :math:`a^T v`; `across-1` and `across-2`: along two fixed directions across it
+      [m/s];
+    - `tangential`: velocity around the axis, :math:`(a \times x / \rho)^T v` [m/s];
+    - `helical`: velocity on the cylinder around the axis, across the helix of the given pitch [m/s];
+    - `spherical`: velocity away from the point c [m/s];
+    - `turn`: angular velocity along the axis, :math:`a^T w`; `turn-1` and `turn-2`: along the two directions across it
+      [rad/s];
+    - `slide`: velocity along the axis, :math:`a^T v_c`; `slide-1` and `slide-2`: :math:`v_c` along the two directions
+      across it [m/s];
+    - `screw`: :math:`a^T v_c - \mathrm{pitch} \; a^T w`, zero for a hand that is fixed to a screw [m/s].
+
+    For example, a hand that is fixed to a door has zero `turn-1 turn-2 slide-1 slide-2 slide`; a hand that may turn
+    about the door's handle has zero `radial axial`.
+
+    `radius` replaces :math:`\rho` in these formulas (for `spherical`, the distance from c). All rows are then affine in
+    p, so that they are combinations of `PlaceRows` with a constant Lambda. On the mechanism the values are the same; at
+    another distance, `radial`, `tangential` and `spherical` are scaled with the distance, and `helical` is across the
+    helix at the radius. Without `radius` the rows have unit length, except within 1e-5 m of the axis (or the centre),
+    where they fade to zero. On the axis the manipulability is zero in both cases, and its gradient is finite.
 
     Args:
         robot: The robot.
@@ -179,11 +187,12 @@ class MechanismRows(WeighedVelocity):
         point: A point on the axis, or the centre, in the base frame [m].
         pitch: Travel along the axis per radian of rotation [m/rad], right-handed screws positive.
         radius: Distance of the hand from the axis or the centre on the mechanism [m]; None for any distance.
-        relative_to: Reference frame of the hand, of axis and of point; None for the base.
+        relative_to: Name of the frame in which axis, point and the motion of the frame are expressed; None for the
+            robot's base.
 
     Raises:
-        UnknownNameError: No such frame; lists near matches.
-        FeatureError: Unknown rows, or an invalid axis, point, pitch or radius.
+        UnknownNameError: The frame does not exist; lists near matches.
+        FeatureError: A row name is unknown, or the axis, point, pitch or radius is invalid.
     """
 
     kind = "mechanism-rows"
@@ -222,26 +231,26 @@ class MechanismRows(WeighedVelocity):
         self.place_weights = mechanism_weights(self.row_names, self.geometry, self.radius)
 
     def with_rows(self, rows: Sequence[str], radius: float | None = None) -> MechanismRows:
-        """Return other rows of the same mechanism.
+        """Return features with other rows for the same frame, axis, point and pitch.
 
         Args:
-            rows: Names of the rows.
+            rows: Names of the rows, see `MechanismRows`.
             radius: Distance of the hand from the axis or the centre [m]; None for any distance.
 
         Returns:
-            The rows, with the same frame, axis, point and pitch.
+            The new features.
         """
         return self.changed(rows=rows, radius=radius)
 
     def moved(self, transform: Float[np.ndarray, "4 4"], selection: Selection) -> Selected:
-        """Return the same rows of the moved mechanism; rows relative to another frame do not change.
+        """Return the features of the mechanism after a rigid motion of it, p' = R p + t.
 
         Args:
-            transform: Rigid motion (4, 4) in the base frame [m].
+            transform: Homogeneous matrix (4, 4) of R and t, in the base frame [m].
             selection: Lambda (s, p).
 
         Returns:
-            Phi, and Lambda unchanged.
+            The moved features (these features if they are relative to another frame), and Lambda unchanged.
         """
         if self.relative_to is not None:
             return self, selection
@@ -253,14 +262,15 @@ class MechanismRows(WeighedVelocity):
         return self.with_rows(tuple(dict.fromkeys((*self.row_names, *ROTATION_ROWS))), self.radius)
 
     def mechanism(self, selection: Selection, learnt: Mapping[str, Any]) -> Mechanism | None:
-        """Return the mechanism that constrains whole rows of these.
+        """Return the mechanism whose rows Lambda selects.
 
         Args:
             selection: Lambda (s, p) with orthonormal rows.
             learnt: Not used.
 
         Returns:
-            The mechanism; None if Lambda mixes rows, or if no kind constrains these.
+            The mechanism; None if Lambda mixes rows of these features, or if no kind of mechanism has exactly the
+            selected rows.
         """
         shares = np.einsum("sp,sp->p", selection, selection)
         zero_rows = {name for name, share in zip(self.row_names, shares, strict=True) if share > 0.5}
@@ -270,17 +280,18 @@ class MechanismRows(WeighedVelocity):
         return mechanism_of(kind, self.geometry, self.radius, **self.twist.seen_from)
 
     def coordinates(self, q: ArrayLike) -> Float[np.ndarray, " p"]:
-        """Return the distance from the axis (`radial`) or the centre (`spherical`), and the position along the axis
-        (`axial`) [m].
+        """Return the coordinates whose rates are the rows, for features with rows `radial`, `axial` and `spherical`
+        only.
 
         Args:
             q: Joint configuration (nq,) or positions (nv,) [rad or m].
 
         Returns:
-            shape (p,) [m].
+            shape (p,): distance from the axis (`radial`), position along it from the point (`axial`), or distance from
+            the point (`spherical`) [m].
 
         Raises:
-            FeatureError: The features have other rows, which are not the rate of a coordinate.
+            FeatureError: The features have other rows, which are not rates of coordinates.
         """
         d = self.twist.placement(q)[0] - self.geometry.point
         z = float(d @ self.geometry.axis)
@@ -290,13 +301,14 @@ class MechanismRows(WeighedVelocity):
         return np.array([distances[n] for n in self.row_names])
 
     def coordinates_jacobian(self, q: ArrayLike) -> Float[np.ndarray, "p nv"] | None:
-        """Return the rates of the distances, which are rows of unit length.
+        """Return the derivative dr/dq of `coordinates`: the same rows without a radius.
 
         Args:
             q: Joint configuration (nq,) or positions (nv,) [rad or m].
 
         Returns:
-            shape (p, nv); None if it is Phi(q): without a radius, or without rows that depend on the distance.
+            shape (p, nv). None if the derivative is Phi(q), because the features have no radius or no row that depends
+            on the distance.
         """
         if self.radius is None or not set(self.row_names) & set(DISTANCE_ROWS):
             return None
@@ -309,18 +321,19 @@ class MechanismRows(WeighedVelocity):
 
 
 def rows_of(kind: MechanismKind, place: Place, radius: float | None, twist: PoseRows) -> Selected:
-    """Return Phi and Lambda of a mechanism: constant rows of a twist if they suffice, else rows about an axis.
+    """Return features Phi and selection Lambda of the constraint that a mechanism imposes on a hand.
 
-    The rows of a helix get no radius: its row would hold at this radius only, and grips differ.
+    A line, a plane or a held orientation gets `FrameJacobian` rows, another mechanism `MechanismRows`. Rows of a screw
+    are built without the radius: with it they would be valid for grasps at this radius only.
 
     Args:
         kind: Kind of the mechanism.
-        place: Its axis, point and pitch in the base frame or in the reference frame of `twist`.
+        place: Its axis, point and pitch, in the base frame or in the reference frame of `twist`.
         radius: Distance of the hand from the axis or the centre [m]; None if it does not apply.
-        twist: All six rows of the hand.
+        twist: Features of all six components of the hand's twist.
 
     Returns:
-        Phi and Lambda.
+        Phi with p rows, and Lambda (s, p).
     """
     if kind.kind not in ("line", "plane", "space"):
         row_radius = radius if set(kind.rows) & set(DISTANCE_ROWS) and kind.type != "screw" else None
@@ -336,31 +349,33 @@ def rows_of(kind: MechanismKind, place: Place, radius: float | None, twist: Pose
 
 @final
 class PlaceRows(WeighedVelocity):
-    """Velocity of a frame in rows for which a mechanism is a constant Lambda at every configuration.
+    r"""Velocity of a frame in rows for which the constraint of a mechanism has one Lambda at every configuration.
 
-    With (v, w) the velocity of the frame, p its origin and m a fixed point in the middle of the motion:
+    The learner uses these features to find mechanisms whose axis or centre is not known. With the linear and angular
+    velocity (v, w) of the frame, its origin p and a fixed point m in the middle of the motion, the forms are
 
-    - `"point"`: v and the rate (p - m).v of half the squared distance from m. A hand that may turn keeps its distance
-      from a point c by the row [-(c - m)^T, 1]; a plane is [n^T, 0], and a hinge has one row of each kind.
-    - `"point and rotation"`: the same, and w.
-    - `"twist"`: the velocity v + (p - m) x w of the point of the hand that is at m, and w. A lower pair (a subgroup of
-      SE(3)) leaves a constant space of such twists free to a hand that is fixed to it.
+    - `"point"`: v and :math:`(p - m)^T v`, the rate of half the squared distance from m. The row
+      :math:`[-(c - m)^T, 1]` of Lambda keeps a hand that may turn at its distance from a point c; :math:`[n^T, 0]`
+      keeps it in a plane with the normal n; a hinge has one row of each kind.
+    - `"point and rotation"`: the rows of `"point"`, and w.
+    - `"twist"`: the velocity :math:`v + (p - m) \times w` of the hand's point that is at m, and w. If a hand is fixed
+      to a lower pair (a subgroup of SE(3)), the twists that the pair leaves free form a constant space.
+    - `"surface"`: v and the nine products :math:`(p - m)_i v_j`. These describe surfaces whose normal is linear in p,
+      i.e. a cylinder, and the two rows of a helix.
 
-    - `"surface"`: v and the nine products (p - m)_i v_j. The normal of a surface of second order is linear in p: the
-      side of a cylinder, and the two rows of a helix.
-
-    m only improves the conditioning: another one gives another basis of the same rows.
+    The choice of m improves the conditioning only: another point gives another basis of the same rows.
 
     Args:
         robot: The robot.
         frame: Name of the frame, e.g. the tool's tip.
-        form: Set of rows.
-        middle: m in the base frame [m].
-        relative_to: Reference frame of the hand and of the middle; None for the base.
+        form: Set of rows, one of the four above.
+        middle: Point m (3,) in the base frame or in `relative_to` [m].
+        relative_to: Name of the frame in which the middle and the motion of the frame are expressed; None for the
+            robot's base.
 
     Raises:
-        UnknownNameError: No such frame; lists near matches.
-        FeatureError: Another form, or a middle that is not three finite numbers.
+        UnknownNameError: The frame does not exist; lists near matches.
+        FeatureError: The form is not one of the four, or the middle is not three finite numbers.
     """
 
     kind = "place-rows"
@@ -389,15 +404,15 @@ class PlaceRows(WeighedVelocity):
         self.place_weights = PlaceWeights(constant - by_place @ m, by_place)
 
     def kind_of(self, selection: Selection, immovable: Selection, places: Float[np.ndarray, "n 3"]) -> Match | None:
-        """Return kind and place of the mechanism that makes these rows zero.
+        """Identify the mechanism that holds Lambda Phi(q) u at zero.
 
         Args:
             selection: Lambda (s, p) with orthonormal rows.
-            immovable: Orthonormal rows (m, p) that this arm cannot move.
-            places: Positions of the hand (n, 3) [m]; used for `"surface"`.
+            immovable: Orthonormal combinations (m, p) of the rows along which this arm cannot move at all.
+            places: Positions (n, 3) of the hand [m]; only used for the form `"surface"`.
 
         Returns:
-            Kind and place; None if the rows are no known mechanism.
+            Kind of mechanism, and its axis and point; None if no known mechanism has these rows.
         """
         if self.form == "twist":
             return read_twists(null_basis(np.concatenate([selection, immovable])).T, self.middle)
@@ -406,14 +421,16 @@ class PlaceRows(WeighedVelocity):
         return read_point_rows(selection, immovable, self.middle)
 
     def mechanism(self, selection: Selection, learnt: Mapping[str, Any]) -> Mechanism | None:
-        """Return the mechanism of these rows; its radius, or a helix, needs the recorded postures.
+        """Return the mechanism that constrains the rows selected by Lambda.
 
         Args:
             selection: Lambda (s, p) with orthonormal rows.
-            learnt: Provenance of Lambda, with its error and the recorded postures; empty if it was not learnt.
+            learnt: Provenance of the constraint, with the uncertainty of Lambda and the recorded configurations (entry
+                `"postures"`); empty if it was not learnt. Without the configurations the mechanism has no radius, and a
+                screw is not found.
 
         Returns:
-            The mechanism; None if the rows are no known mechanism.
+            The mechanism; None if no known mechanism has these rows.
         """
         postures = learnt.get("postures") or []
         positions = np.array([self.twist.placement(q)[0] for q in postures] or [self.middle])
@@ -428,47 +445,48 @@ class PlaceRows(WeighedVelocity):
         return mechanism_of(kind, place, radius, **self.twist.seen_from)
 
     def named(self, selection: Selection, mechanism: Mechanism | None) -> Selected:
-        """Return Phi and Lambda with rows named after the mechanism.
+        """Return the same constraint in rows that are named after its mechanism, see `rows_of`.
 
         Args:
             selection: Lambda (s, p) with orthonormal rows.
-            mechanism: The mechanism of these rows; None if there is none.
+            mechanism: The mechanism that these rows describe; None if it is not known.
 
         Returns:
-            Phi and Lambda; unchanged if the mechanism has no known name.
+            New Phi and Lambda; these features and `selection` if the mechanism is not known.
         """
         if mechanism is None or mechanism.name not in KIND_BY_NAME:
             return self, selection
         return rows_of(KIND_BY_NAME[mechanism.name], mechanism.located(), mechanism.radius, self.twist)
 
     def describe(self) -> dict[str, Any]:
-        """Return frame, form and middle, and the names of the rows, for a constraint file."""
+        """Return a dictionary of JSON values for a constraint file: frame, form, middle and names of the rows."""
         return super().describe() | {"rows": list(self.row_names)}
 
 
 @final
 class CurveRows(WeighedVelocity):
-    """Velocity of a frame across a curve and along it: rows whose direction depends on the position.
+    r"""Velocity of a frame across and along a curve, in rows whose directions depend on the position.
 
-    With p the origin of the frame, c(s) the nearest point of the curve, t the tangent there and n_1, n_2 two unit
-    vectors across that do not rotate about the curve:
+    With the velocity v of the frame's origin p, the nearest point c(s) of the curve at the length s, the tangent t
+    there, and two unit vectors :math:`n_1, n_2` across the curve that do not rotate about it, the rows are
 
-    - `across-1`, `across-2`: n_i.v, the rate of n_i.(p - c) [m/s];
-    - `along`: the rate of the length s, t.v / (1 - c''.(p - c)) [m/s];
-    - `rx`, `ry`, `rz`: the angular velocity along the base's axes [rad/s].
+    - `across-1` and `across-2`: :math:`n_i^T v`, the rate of :math:`n_i^T (p - c)` [m/s];
+    - `along`: the rate of the length s, :math:`t^T v / (1 - c''^T (p - c))` [m/s];
+    - `rx`, `ry`, `rz`: angular velocity along the axes of the base [rad/s].
 
-    A rail of any shape makes the first two zero.
+    On a rail of any shape, `across-1` and `across-2` are zero.
 
     Args:
         robot: The robot.
         frame: Name of the frame, e.g. the tool's tip.
         points: Points of the curve in order, in the base frame, shape (k, 3) [m].
-        rows: Names of the rows, each at most once.
-        relative_to: Reference frame of the hand and of the points; None for the base.
+        rows: Names of the rows, each at most once; a string with spaces or a sequence.
+        relative_to: Name of the frame in which the points and the motion of the frame are expressed; None for the
+            robot's base.
 
     Raises:
-        UnknownNameError: No such frame; lists near matches.
-        FeatureError: Unknown rows, or points that do not define a curve.
+        UnknownNameError: The frame does not exist; lists near matches.
+        FeatureError: A row name is unknown, or the points do not define a curve.
     """
 
     kind = "curve-rows"
@@ -489,10 +507,13 @@ class CurveRows(WeighedVelocity):
         self.place_weights = CurveWeights(self.curve, self.row_names)
 
     def with_rows(self, rows: Sequence[str]) -> CurveRows:
-        """Return other rows of the same curve.
+        """Return features with other rows for the same frame and curve.
 
         Args:
             rows: Names of the rows, from `CURVE_ROWS`.
+
+        Returns:
+            The new features.
         """
         return self.changed(points=self.curve, rows=rows)
 
@@ -501,7 +522,7 @@ class CurveRows(WeighedVelocity):
         return self.with_rows((*(name for name in self.row_names if name not in AXES), *AXES[3:]))
 
     def mechanism(self, selection: Selection, learnt: Mapping[str, Any]) -> Mechanism | None:
-        """Return the curve as a mechanism if the constraint is across it.
+        """Return the curve as a mechanism if Lambda constrains the hand to it.
 
         Args:
             selection: Lambda (s, p) with orthonormal rows.
@@ -516,16 +537,17 @@ class CurveRows(WeighedVelocity):
         return Mechanism("other", name=CURVE, curve=self.curve, relative_to=self._relative_to)
 
     def coordinates(self, q: ArrayLike) -> Float[np.ndarray, " p"]:
-        """Return distances from the curve along n_1 and n_2, and the length along it.
+        """Return the coordinates whose rates are the rows, for features without angular rows.
 
         Args:
             q: Joint configuration (nq,) or positions (nv,) [rad or m].
 
         Returns:
-            shape (p,) [m].
+            shape (p,): distances from the curve along the two directions across it (`across-1`, `across-2`), or length
+            along it (`along`) [m].
 
         Raises:
-            FeatureError: Rows of the angular velocity, which is not the rate of a coordinate.
+            FeatureError: The features have angular rows, which are not rates of coordinates.
         """
         if set(self.row_names) & set(AXES):
             return super().coordinates(q)
@@ -535,14 +557,14 @@ class CurveRows(WeighedVelocity):
         return np.append(across, s)[[CURVE_ROWS.index(name) for name in self.row_names]]
 
     def moved(self, transform: Float[np.ndarray, "4 4"], selection: Selection) -> Selected:
-        """Return the same rows of the moved curve; rows relative to another frame do not change.
+        """Return the features of the curve after a rigid motion of it, p' = R p + t.
 
         Args:
-            transform: Rigid motion (4, 4) in the base frame [m].
+            transform: Homogeneous matrix (4, 4) of R and t, in the base frame [m].
             selection: Lambda (s, p).
 
         Returns:
-            Phi, and Lambda unchanged.
+            The moved features (these features if they are relative to another frame), and Lambda unchanged.
         """
         is_fixed = self.relative_to is not None
         return self if is_fixed else self.changed(points=self.curve.moved(transform)), selection

@@ -23,10 +23,10 @@ class CentreOfMass(FeatureMap):
 
     Args:
         robot: The robot; its URDF needs inertias.
-        axes: Any of `x y z`.
+        axes: Rows to include, any of `x y z`: a string with spaces or a sequence.
 
     Raises:
-        FeatureError: Unknown axes, or a robot without mass.
+        FeatureError: The axes are unknown, or the robot has no mass.
     """
 
     kind, saved, own_axes = "centre-of-mass", {"axes": "row_names"}, False
@@ -64,7 +64,7 @@ class CentreOfMass(FeatureMap):
         return J[self._rows], H[self._rows]
 
     def coordinates(self, q: ArrayLike) -> Float[np.ndarray, " p"]:
-        """Return the selected coordinates of the centre of mass.
+        """Return the position of the centre of mass along the selected axes.
 
         Args:
             q: Joint configuration (nq,) or positions (nv,) [rad or m].
@@ -77,19 +77,24 @@ class CentreOfMass(FeatureMap):
 
 @final
 class CustomFeatures(FeatureMap):
-    """Phi(q) from a function, e.g. polynomials of the state of a system that is not a robot arm.
+    """Features Phi(q) from a Python function of yours, e.g. polynomials of the state of a system that is no robot arm.
+
+    They cannot be saved to a file.
 
     Args:
-        function: q -> Phi, shape (p, nv).
+        function: Function from q to Phi(q), shape (p, nv).
         row_names: One name per row.
-        nv: Number of velocities; None for the number of the robot.
-        derivative: q -> dPhi/dq, shape (p, nv, nv). Without it, central differences are used (error about 1e-10).
-        coordinates: q -> r, shape (p,), with dr/dt = Phi u; only needed for attractor tasks.
+        nv: Number of velocities; None for that number of `robot`.
+        derivative: Function from q to dPhi/dq, shape (p, nv, nv). None: central differences are used (error about
+            1e-10).
+        coordinates: Function from q to the task coordinates r (p,), whose rate must be Phi(q) u. Only needed for
+            attractor tasks.
         row_units: One unit per row; default: `"1"` for all.
-        robot: The robot of q; without a robot, q is a plain vector of size nv.
+        robot: The robot whose configuration q is. None: q is a plain vector of size nv.
 
     Raises:
-        FeatureError: No size, or a function that returns the wrong shape or values that are not finite.
+        FeatureError: Neither `nv` nor `robot` is given, or a function returns the wrong shape or values that are not
+            finite.
     """
 
     def __init__(
@@ -129,16 +134,16 @@ class CustomFeatures(FeatureMap):
         return self._checked(self._function(self._state(q)), (self.n_rows, self.nv), "Phi")
 
     def derivative(self, q: ArrayLike) -> Float[np.ndarray, "p nv nv"]:
-        """Return dPhi/dq along tangent coordinates.
+        """Return the derivative dPhi/dq.
 
         Args:
             q: State (nv,), or a configuration of the robot.
 
         Returns:
-            shape (p, nv, nv), by central differences if no derivative was passed.
+            shape (p, nv, nv), by central differences if no derivative was passed to the constructor.
 
         Raises:
-            FeatureError: Wrong shape or not finite.
+            FeatureError: The passed function returned the wrong shape or values that are not finite.
         """
         state = self._state(q)
         if self._derivative is not None:
@@ -148,16 +153,16 @@ class CustomFeatures(FeatureMap):
         return np.stack(rises, axis=-1) / (2 * h)
 
     def coordinates(self, q: ArrayLike) -> Float[np.ndarray, " p"]:
-        """Return task coordinates r(q) from the function passed for them.
+        """Return the task coordinates r(q) from the function `coordinates` of the constructor.
 
         Args:
             q: State (nv,), or a configuration of the robot.
 
         Returns:
-            shape (p,).
+            shape (p,), one coordinate per row.
 
         Raises:
-            FeatureError: No such function was passed, or it returned the wrong shape.
+            FeatureError: The constructor got no such function, or the function returned the wrong shape.
         """
         if self._coordinates is None:
             return super().coordinates(q)
@@ -182,13 +187,13 @@ class CustomFeatures(FeatureMap):
 
 @final
 class Stacked(FeatureMap):
-    """Rows of several feature maps of one robot, in order: two hands, a hand and an elbow, ...
+    """Rows of several feature maps of one robot, one map after another, e.g. of a hand and an elbow.
 
     Args:
-        parts: At least one feature map; all act on the same velocities.
+        parts: Feature maps, at least one; all must have the same number of velocities nv.
 
     Raises:
-        FeatureError: None given, or sizes differ.
+        FeatureError: No feature map is given, or their numbers of velocities differ.
     """
 
     kind = "stacked"
@@ -217,18 +222,18 @@ class Stacked(FeatureMap):
         return np.concatenate([part(q) for part in self.parts])
 
     def derivative(self, q: ArrayLike) -> Float[np.ndarray, "p nv nv"]:
-        """Return dPhi/dq, the parts' derivatives in order.
+        """Return the derivative dPhi/dq.
 
         Args:
             q: Joint configuration (nq,) or positions (nv,) [rad or m].
 
         Returns:
-            shape (p, nv, nv).
+            shape (p, nv, nv), with the rows of the parts in order.
         """
         return np.concatenate([part.derivative(q) for part in self.parts])
 
     def batch(self, q: ArrayLike) -> Float[np.ndarray, "n p nv"]:
-        """Return Phi at n configurations, each part by its own fast method.
+        """Return Phi at n configurations, with the rows of the parts in order.
 
         Args:
             q: Joint configurations (n, nq) or positions (n, nv) [rad or m].
@@ -239,36 +244,36 @@ class Stacked(FeatureMap):
         return np.concatenate([part.batch(q) for part in self.parts], axis=1)
 
     def coordinates(self, q: ArrayLike) -> Float[np.ndarray, " p"]:
-        """Return task coordinates of all parts.
+        """Return the task coordinates r(q) of all parts.
 
         Args:
             q: Joint configuration (nq,) or positions (nv,) [rad or m].
 
         Returns:
-            shape (p,), in the parts' units.
+            shape (p,), one coordinate per row, in the units of the parts.
         """
         return np.concatenate([part.coordinates(q) for part in self.parts])
 
     def coordinates_jacobian(self, q: ArrayLike) -> Float[np.ndarray, "p nv"] | None:
-        """Return rates of the coordinates, part by part.
+        """Return the derivative dr/dq of the task coordinates of all parts.
 
         Args:
             q: Joint configuration (nq,) or positions (nv,) [rad or m].
 
         Returns:
-            shape (p, nv); None if it is Phi(q) for all parts.
+            shape (p, nv); None if the derivative is Phi(q) for all parts.
         """
         return self._stack([part.coordinates_jacobian(q) for part in self.parts], q)
 
     def error_and_jacobian(self, target: ArrayLike, q: ArrayLike) -> ErrorAndRate:
-        """Return the displacement to a target and E, part by part; errors as from the parts.
+        """Return the displacement e to a target and the matrix E of its rate, see `FeatureMap.error_and_jacobian`.
 
         Args:
-            target: p coordinates in the order of the rows.
+            target: Task coordinates (p,) in the order of the rows.
             q: Joint configuration (nq,) or positions (nv,) [rad or m].
 
         Returns:
-            e (p,), and E (p, nv) or None if it is Phi(q) for all parts.
+            e (p,) and E (p, nv); None instead of E if it is Phi(q) for all parts.
         """
         goals = np.split(self._goal(target), np.cumsum([part.n_rows for part in self.parts])[:-1])
         both = [part.error_and_jacobian(goal, q) for part, goal in zip(self.parts, goals, strict=True)]
@@ -281,7 +286,7 @@ class Stacked(FeatureMap):
         return np.concatenate([p(q) if b is None else b for p, b in zip(self.parts, blocks, strict=True)])
 
     def describe(self) -> dict[str, Any]:
-        """Return the parts, as saved in a constraint file."""
+        """Return a dictionary of JSON values that describes the parts, as in a constraint file."""
         return {"kind": self.kind, "parts": [part.describe() for part in self.parts]}
 
     def __repr__(self) -> str:
@@ -289,17 +294,17 @@ class Stacked(FeatureMap):
 
 
 def described_features(described: Mapping[str, Any], robot: Robot) -> FeatureMap:
-    """Build the feature map of a constraint file, for the robot of that constraint.
+    """Build a feature map from its description in a constraint file.
 
     Args:
-        described: The output of `describe`.
+        described: The output of `FeatureMap.describe`.
         robot: The robot.
 
     Returns:
         The feature map.
 
     Raises:
-        FeatureError: A kind that this version does not know, or settings that do not fit this robot.
+        FeatureError: This version does not know the kind of features, or the arguments do not fit this robot.
     """
     kind = described["kind"]
     if kind == Stacked.kind:

@@ -1,4 +1,4 @@
-"""Names of robots -> description files."""
+"""Find the description file of a robot by its name."""
 
 from __future__ import annotations
 
@@ -41,15 +41,17 @@ SHORT_NAMES = {
 
 
 def find_robot(name: str) -> Path:
-    """Return the description file of a robot by its name: shipped, from example-robot-data, or fetched.
+    """Return the description file of a robot by its name.
+
+    Robots are shipped with this package, from example-robot-data, or downloaded by robot_descriptions.
 
     Args:
-        name: Name of the robot; capitals, hyphens and spaces do not count: `SO-101` is `so101`.
+        name: Name of the robot; capitals, hyphens and spaces are ignored, e.g. `SO-101` is `so101`.
 
     Raises:
-        UnknownNameError: No such robot; lists near matches.
+        UnknownNameError: There is no such robot; lists near matches.
         MissingExtraError: The robot is in a package that is not installed.
-        RobotError: It cannot be fetched.
+        RobotError: The robot cannot be downloaded.
     """
 
     def letters(text: str) -> str:
@@ -84,7 +86,7 @@ def robot_names() -> tuple[str, ...]:
 
 @functools.cache
 def fetched_names() -> frozenset[str]:
-    """Return the names of the robots that robot_descriptions fetches; empty if it is not installed."""
+    """Return the names of the robots that robot_descriptions can download; empty if it is not installed."""
     package = find_spec(FETCHING)
     modules = pkgutil.iter_modules((package and package.submodule_search_locations) or ())
     matches = (re.fullmatch(r"([^_].*)(?<!_mj)_description", module.name) for module in modules)
@@ -120,13 +122,13 @@ def _fetch(name: str) -> Path:
 
 
 def known_as(source: Path | None) -> str | None:
-    """Return the shortest name by which `load_robot` finds a file.
+    """Return the shortest name with which `load_robot` finds a description file.
 
     Args:
-        source: File of a description, or None.
+        source: The file; None if the robot has none.
 
     Returns:
-        The name; None for the user's own file.
+        The name; None for a user's own file, or without a file.
     """
     if source is not None and source.parent == shipped_folder() and source.stem in SHIPPED:
         return source.stem

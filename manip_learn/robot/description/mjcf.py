@@ -1,7 +1,7 @@
-"""MJCF files -> the links and joints that a URDF would have.
+"""Read MJCF files as the links and joints that a URDF would have.
 
-Pinocchio's own reader silently garbles some files, and MuJoCo's needs the meshes; this reader needs no meshes, and
-refuses a file with the line of its fault.
+Pinocchio's own reader silently garbles some files, and MuJoCo's reader needs the meshes. This reader needs no meshes,
+and its errors name the line at fault.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ def read_defaults(root: XmlNode) -> dict[str, Attributes]:
         root: Root element of the file.
 
     Returns:
-        Class -> tag -> attributes; the outermost class is `main`.
+        Nested dictionaries: class -> tag -> attributes. The outermost class is `main`.
     """
     classes: dict[str, Attributes] = {MAIN: {}}
     pending = [(top, top.attributes.get("class", MAIN), MAIN) for top in root.all("default")]
@@ -296,16 +296,17 @@ def validate_mjcf(root: XmlNode, locked: Collection[str] = (), *, scene: bool = 
     Joints coupled by a linear `<equality><joint>` become mimic joints; sites become frames.
 
     Args:
-        root: Its root element.
-        locked: Joints that will not move.
-        scene: True to return only shapes that can be touched, with the world's own; a plane becomes a box.
+        root: Root element of the file.
+        locked: Names of joints that will be locked.
+        scene: True to read obstacles instead of a robot: only shapes with contact are returned, also the shapes of the
+            world body; a plane becomes a box.
 
     Returns:
-        The validated description, and the URDF of that robot, with its shapes.
+        The validated description, and the text of an equivalent URDF with the shapes.
 
     Raises:
-        RobotError: As for a URDF, and codes `mjcf-element`, `mjcf-class`, `mjcf-compiler`, `mjcf-orientation`,
-            `mjcf-coupling`.
+        RobotError: The description is invalid, see `validate_urdf`; also codes `mjcf-element`, `mjcf-class`,
+            `mjcf-compiler`, `mjcf-orientation`, `mjcf-coupling`.
     """
     pending = [root]
     for node in pending:  # the list grows during the loop

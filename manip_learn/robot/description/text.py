@@ -1,7 +1,7 @@
-"""Text of a robot description, or of another untrusted file: safe reading of bytes, XML and JSON.
+"""Safe reading of robot descriptions and other untrusted files: bytes, XML and JSON.
 
-XML has no entities and no doctypes here; its nodes know their line and the link or joint that they belong to, and
-refusals name both.
+XML with entities or doctypes is refused. XML nodes know their line and the link or joint to which they belong, and
+error messages name both.
 """
 
 from __future__ import annotations
@@ -87,11 +87,11 @@ RULES = {
 @final
 @dataclass(frozen=True)
 class Diagnostics:
-    """Collects warnings about one file and words its refusals.
+    """Collector of warnings about one file, which also makes the errors with which the file is refused.
 
     Attributes:
         path: The file.
-        kept: The warnings so far, in order.
+        kept: Warnings so far, in order.
     """
 
     path: Path
@@ -99,34 +99,34 @@ class Diagnostics:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """The warnings in order, each once; beyond a hundred only their number."""
+        """Warnings in order, each once; if there are more than a hundred, the last one counts the others."""
         merged = list(dict.fromkeys(merge_similar(self.kept).values()))
         more = [f"{len(merged) - MAX_WARNINGS} more warnings are left out"] if len(merged) > MAX_WARNINGS else []
         return (*merged[:MAX_WARNINGS], *more)
 
     def refusal(self, code: str, line: int | None, sentence: str) -> RobotError:
-        """Return the error to raise.
+        """Return the error with which the file is refused; the caller raises it.
 
         Args:
             code: Short stable name of the reason.
-            line: Line in the file, counted from 1, or None.
-            sentence: The element, the actual value, the expected value and the remedy.
+            line: Line in the file, counted from 1; None if it is not known.
+            sentence: Message: the element, the actual value, the expected value and the remedy.
         """
         place = f"{self.path}:{line}" if line is not None else f"{self.path}"
         return RobotError(f"{place}: {sentence}", code=code, path=self.path, line=line)
 
     def require(self, is_right: bool, code: str, line: int | None, where: str = "", **values: object) -> None:
-        """Refuse the file with a sentence of `RULES` if its rule is violated.
+        """Raise an error with a message from `RULES` unless a condition holds.
 
         Args:
-            is_right: True if the rule holds.
-            code: Key of the rule.
-            line: Line in the file, counted from 1, or None.
-            where: Element at fault, with which the sentence begins.
-            **values: Values for the placeholders of the rule.
+            is_right: The condition; False refuses the file.
+            code: Key of the message in `RULES`, and code of the error.
+            line: Line in the file, counted from 1; None if it is not known.
+            where: Name of the element at fault, with which the message begins.
+            **values: Values for the placeholders of the message.
 
         Raises:
-            RobotError: The rule is violated; with that code.
+            RobotError: `is_right` is False.
         """
         if not is_right:
             raise self.refusal(code, line, where + RULES[code].format(**values))
@@ -135,7 +135,7 @@ class Diagnostics:
         """Add a warning to `Robot.warnings`.
 
         Args:
-            line: Line in the file, counted from 1, or None.
+            line: Line in the file, counted from 1; None if it is not known.
             sentence: The warning.
         """
         self.kept.append(f"line {line}: {sentence}" if line is not None else sentence)
@@ -148,7 +148,7 @@ def merge_similar(sentences: Iterable[str]) -> dict[str, str]:
         sentences: Warnings.
 
     Returns:
-        Sentence -> its merged form, which names the first element and the number of the others.
+        Dictionary from each sentence to its merged form, which names the first element and the number of the others.
     """
     alike: dict[tuple[str, str], list[re.Match[str]]] = {}
     for match in filter(None, map(PLACE.fullmatch, dict.fromkeys(sentences))):
@@ -162,10 +162,10 @@ def merge_similar(sentences: Iterable[str]) -> dict[str, str]:
 
 
 def quoted(names: Sequence[str]) -> str:
-    """Return the first few names in quotes, with the number of the others.
+    """Return names as text: the first few in quotes, with the number of the others.
 
     Args:
-        names: Names; long ones are shortened.
+        names: Names; long names are shortened.
     """
     return few([repr(shorten(n)) for n in names], NAMES_SHOWN)
 
@@ -184,12 +184,12 @@ def shorten(text: str, length: int = 80) -> str:
 
 
 def suggest_name(name: str, known: Iterable[str], otherwise: str) -> str:
-    """Return the remedy for a misspelt name: `did you mean 'elbow'?`, or other advice if no known name is similar.
+    """Return advice for an unknown name, e.g. `did you mean 'elbow'?`.
 
     Args:
         name: The unknown name.
         known: Names that exist.
-        otherwise: The other advice.
+        otherwise: Advice to return if no known name is similar.
     """
     near = closest_names(name, known)
     return f"did you mean {quoted(near)}?" if near else otherwise
@@ -205,7 +205,8 @@ def open_regular_file(path: str | os.PathLike[str]) -> BinaryIO:
         The open binary file.
 
     Raises:
-        OSError: As from `open`; `ENXIO` if it is not a regular file, `EINVAL` if no file can have that path.
+        OSError: The file cannot be opened, as for `open`; `ENXIO` if it is not a regular file, `EINVAL` if no file can
+            have that path.
     """
     try:  # opening a pipe would wait for its writer
         file = open(path, "rb", opener=lambda name, flags: os.open(name, flags | os.O_NONBLOCK))
@@ -228,7 +229,7 @@ def read_regular_file(path: str | os.PathLike[str], most: int) -> bytes:
         Its content.
 
     Raises:
-        OSError: As from `open_regular_file`; `EFBIG` if it is larger.
+        OSError: The file cannot be opened, see `open_regular_file`; `EFBIG` if it is larger than `most`.
     """
     with open_regular_file(path) as file:
         content = file.read(most + 1)
@@ -238,23 +239,29 @@ def read_regular_file(path: str | os.PathLike[str], most: int) -> bytes:
 
 
 def unreadable(error: OSError) -> tuple[str, str]:
-    """Return the code and the sentence for a file that cannot be read: the reason and the remedy.
+    """Explain why a file cannot be read.
 
     Args:
-        error: Error of `open_regular_file` or `read_regular_file`.
+        error: Error from `open_regular_file` or `read_regular_file`.
+
+    Returns:
+        Short code of the reason, and a sentence with the reason and the remedy.
     """
     code, sentence = UNREADABLE.get(error.errno or 0, ("unreadable", "cannot be opened ({}); check the path"))
     return code, sentence.format(error.strerror or error)
 
 
 def parsed_json(content: bytes | str) -> Any:
-    """Return the content of an untrusted JSON document.
+    """Parse an untrusted JSON document.
 
     Args:
-        content: The document.
+        content: Text of the document.
+
+    Returns:
+        The JSON value.
 
     Raises:
-        ValueError: It is not JSON, a key appears twice, or brackets are nested too deeply.
+        ValueError: The text is not JSON, a key appears twice, or brackets are nested too deeply.
     """
 
     def unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
@@ -287,7 +294,7 @@ def read_description(path: Path) -> bytes:
         Its content.
 
     Raises:
-        RobotError: Codes `missing`, `not-a-file`, `unreadable`, `file-too-large`.
+        RobotError: The file cannot be read; codes `missing`, `not-a-file`, `unreadable`, `file-too-large`.
     """
     try:
         return read_regular_file(path, MAX_BYTES)
@@ -300,16 +307,16 @@ def read_description(path: Path) -> bytes:
 @final
 @dataclass(frozen=True)
 class XmlNode:
-    """One element.
+    """XML element of a robot description.
 
     Attributes:
-        tag: Its tag.
+        tag: Tag of the element.
         attributes: Its attributes, as text.
-        line: Line on which it starts; None in text that xacro wrote, since its lines belong to no file.
-        log: The diagnostics of its file.
+        line: Line in the file on which it starts; None in the output of xacro, whose lines are not in the file.
+        log: Collector of the warnings about the file.
         parent: The element around it; None for the root.
-        children: The elements inside.
-        texts: The text between its tags, in pieces; stored for `<param>` only.
+        children: The elements inside it.
+        texts: Text between its tags, in pieces; stored for `<param>` only.
     """
 
     tag: str
@@ -322,7 +329,7 @@ class XmlNode:
 
     @property
     def where(self) -> str:
-        """The link, joint, body or site that it is or belongs to, for messages."""
+        """Name of the link, joint, body or site to which the element belongs, for messages."""
         name = self.attributes.get("name")
         if name and self.tag in ("link", "joint", "body", "site"):
             return f"{self.tag} {shorten(name)!r}"
@@ -345,24 +352,24 @@ class XmlNode:
         return next((c for c in self.children if c.tag == tag), None)
 
     def refusal(self, code: str, sentence: str) -> RobotError:
-        """Return the error to raise.
+        """Return the error with which the element is refused; the caller raises it.
 
         Args:
             code: Short stable name of the reason.
-            sentence: The actual value; the expected value; the remedy.
+            sentence: Message: the actual value, the expected value and the remedy.
         """
         return self.log.refusal(code, self.line, f"{self.where}: {sentence}")
 
     def require(self, is_right: bool, code: str, **values: object) -> None:
-        """Refuse the element with a sentence of `RULES` if its rule is violated.
+        """Raise an error about this element with a message from `RULES` unless a condition holds.
 
         Args:
-            is_right: True if the rule holds.
-            code: Key of the rule.
-            **values: Values for the placeholders of the rule.
+            is_right: The condition; False refuses the element.
+            code: Key of the message in `RULES`, and code of the error.
+            **values: Values for the placeholders of the message.
 
         Raises:
-            RobotError: The rule is violated; with that code.
+            RobotError: `is_right` is False.
         """
         if not is_right:
             self.log.require(False, code, self.line, f"{self.where}: ", **values)
@@ -379,11 +386,11 @@ class XmlNode:
         """Return the number in an attribute.
 
         Args:
-            attribute: Its name.
-            default: Value if there is no such attribute.
+            attribute: Name of the attribute.
+            default: Result if there is no such attribute.
 
         Raises:
-            RobotError: Codes `number`, `not-finite`, `xacro-expression`.
+            RobotError: The text is no finite number; codes `number`, `not-finite`, `xacro-expression`.
         """
         text = self.attributes.get(attribute)
         return default if text is None else self._parse_number(text.strip(), attribute)
@@ -392,11 +399,12 @@ class XmlNode:
         """Return the numbers in an attribute; None if there is no such attribute.
 
         Args:
-            attribute: Its name.
-            size: Number of numbers.
+            attribute: Name of the attribute.
+            size: Required number of numbers.
 
         Raises:
-            RobotError: Codes `number`, `not-finite`, `vector-size`, `xacro-expression`.
+            RobotError: The text is no vector of this size; codes `number`, `not-finite`, `vector-size`,
+                `xacro-expression`.
         """
         text = self.attributes.get(attribute)
         if text is None:
@@ -432,11 +440,12 @@ def parse_xml(content: bytes, path: Path) -> XmlNode:
     """Return the root element of an XML document; its `log` collects the warnings of the file.
 
     Args:
-        content: The document.
-        path: File of the document, for the messages.
+        content: Text of the document.
+        path: File of the document, for error messages.
 
     Raises:
-        RobotError: Codes `empty`, `not-xml`, `entity`, `doctype`, `encoding`, `xml-too-deep`, `xml-too-large`.
+        RobotError: The document is refused; codes `empty`, `not-xml`, `entity`, `doctype`, `encoding`, `xml-too-deep`,
+            `xml-too-large`.
     """
     log = Diagnostics(path)
     if not content.strip():

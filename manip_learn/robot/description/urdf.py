@@ -1,7 +1,7 @@
-"""Kinematics of a URDF as plain data that knows its XML elements: reading, checks and writing.
+"""Kinematics of a URDF as plain data: read, check and write links and joints.
 
-Each element is checked when it is read, then all are checked against each other. Descriptions of every format are
-read, counted and checked here before they reach Pinocchio.
+Each element is checked when it is read, then all are checked against each other. Descriptions of every format pass
+these checks before they reach Pinocchio.
 """
 
 from __future__ import annotations
@@ -54,7 +54,15 @@ class Pose(NamedTuple):
 
 @final
 class UrdfLink(NamedTuple):
-    """One link; ixx ixy ixz iyy iyz izz [kg m^2] at the pose of its inertia, None where the file gives none."""
+    """Link of a robot description.
+
+    Attributes:
+        name: Name of the link.
+        node: Its XML element.
+        inertia: Six numbers ixx ixy ixz iyy iyz izz [kg m^2]; None if the file has none.
+        mass: Mass [kg].
+        pose: Pose of the inertia's frame in the link frame.
+    """
 
     name: str
     node: XmlNode
@@ -65,7 +73,7 @@ class UrdfLink(NamedTuple):
 
 @final
 class UrdfLimit(NamedTuple):
-    """The `<limit>` of one joint, nan for each missing number [rad or m, per second, N m or N]."""
+    """Limits of a joint, nan if missing: positions [rad or m], velocity [rad/s or m/s] and effort [N m or N]."""
 
     lower: float = math.nan
     upper: float = math.nan
@@ -76,7 +84,19 @@ class UrdfLimit(NamedTuple):
 
 @final
 class UrdfJoint(NamedTuple):
-    """One joint; `axis` has unit length; `mimic` is as in the file: its leader may follow another joint."""
+    """Joint of a robot description.
+
+    Attributes:
+        name: Name of the joint.
+        node: Its XML element.
+        type: Type as in URDF, e.g. `"revolute"`.
+        parent, child: Names of the links that it connects.
+        pose: Pose of the joint in the parent link's frame.
+        axis: Unit vector in the joint's frame.
+        limit: Limits.
+        mimic: Mimic as in the file, whose leader may be a mimic joint too; None for an independent joint.
+        mimic_node: XML element of the mimic; None without one.
+    """
 
     name: str
     node: XmlNode
@@ -91,7 +111,7 @@ class UrdfJoint(NamedTuple):
 
     @property
     def nv(self) -> int:
-        """Degrees of freedom, including mimic joints."""
+        """Number of degrees of freedom, also for a mimic joint."""
         return DEGREES_OF_FREEDOM[self.type]
 
 
@@ -101,12 +121,12 @@ class UrdfFile(NamedTuple):
 
     Attributes:
         name: Name of the robot.
-        links: In file order.
-        joints: In file order.
+        links: Links, in the order of the file.
+        joints: Joints, in the order of the file.
         root: Name of the root link.
         followers: Mimic joints, each with an independent, moving leader.
-        resting: Position of each mimic joint whose chain of leaders ends at a fixed joint [rad or m].
-        warnings: Odd but harmless findings, in sentences.
+        resting: Name of a mimic joint whose chain of leaders ends at a fixed joint -> its position [rad or m].
+        warnings: Unusual but harmless contents, in sentences.
     """
 
     name: str
@@ -119,10 +139,10 @@ class UrdfFile(NamedTuple):
 
 
 def as_pose(T: Matrix4) -> Pose:
-    """Return xyz and roll, pitch, yaw of a homogeneous matrix.
+    """Convert a homogeneous matrix to translation and roll, pitch, yaw.
 
     Args:
-        T: Homogeneous transform [m].
+        T: Homogeneous matrix (4, 4) [m].
     """
     x, y, z = (float(c) for c in T[:3, 3])
     R, level = T[:3, :3], math.hypot(T[0, 0], T[1, 0])
@@ -134,7 +154,7 @@ def as_pose(T: Matrix4) -> Pose:
 
 
 def as_matrix(pose: Pose) -> Matrix4:
-    """Return the homogeneous matrix of xyz and roll, pitch, yaw.
+    """Convert translation and roll, pitch, yaw to a homogeneous matrix (4, 4).
 
     Args:
         pose: Translation [m] and angles [rad].
@@ -148,7 +168,7 @@ def motion_along(kind: str, axis: Vector, position: float) -> Matrix4:
     """Return the homogeneous matrix of a joint's motion along or about its axis.
 
     Args:
-        kind: `"prismatic"`, or a type of joint that turns.
+        kind: Type of the joint: `"prismatic"`, or another type for a rotation.
         axis: Unit vector.
         position: Joint position [rad or m].
     """
@@ -164,14 +184,15 @@ def validate_urdf(root: XmlNode, locked: Collection[str] = ()) -> UrdfFile:
     """Read and check a URDF.
 
     Args:
-        root: Its root element.
-        locked: Joints that will not move: their limits and leaders do not matter.
+        root: Root element of the URDF.
+        locked: Names of joints that will be locked; their limits and leaders are not checked.
 
     Returns:
         The validated description.
 
     Raises:
-        RobotError: With a `code`, the file, the line, the joint or link, the value seen and the fix.
+        RobotError: The description is invalid. The error has a `code`; the message names the file, the line, the joint
+            or link, the actual value and the remedy.
     """
     if root.tag != "robot":
         kinds = {"sdf": "an SDF file", "mujoco": "an MJCF file", "COLLADA": "a mesh", "launch": "a ROS launch file"}
@@ -213,13 +234,13 @@ def read_link(node: XmlNode) -> UrdfLink:
     """Read a link and its inertia.
 
     Args:
-        node: Its element.
+        node: XML element of the link.
 
     Returns:
         The link.
 
     Raises:
-        RobotError: Codes `name-*`, `number`, `not-finite`, `vector-size`, `mass`, `element-twice`.
+        RobotError: The link is invalid; codes `name-*`, `number`, `not-finite`, `vector-size`, `mass`, `element-twice`.
     """
     name = read_name(node)
     inertial = _only(_warn_of_unread(node), "inertial")
@@ -243,14 +264,15 @@ def read_joint(node: XmlNode, controls: Sequence[XmlNode] = ()) -> UrdfJoint:
     """Read a joint with its pose, unit axis, limit and mimic.
 
     Args:
-        node: Its element.
-        controls: The `<joint>` elements inside `<ros2_control>`, for all joints.
+        node: XML element of the joint.
+        controls: The `<joint>` elements inside `<ros2_control>`, of all joints.
 
     Returns:
         The joint.
 
     Raises:
-        RobotError: Codes `name-*`, `joint-type`, `joint-link`, `axis-*`, `planar-axis`, `number`, `not-finite`, ...
+        RobotError: The joint is invalid; codes such as `name-*`, `joint-type`, `joint-link`, `axis-*`, `planar-axis`,
+            `number`, `not-finite`.
     """
     name, kind = read_name(node), node.attributes.get("type", "")
     _warn_of_unread(node)
@@ -327,7 +349,8 @@ def read_name(node: XmlNode) -> str:
         node: The element.
 
     Raises:
-        RobotError: Codes `name-missing`, `name-long`, `name-unprintable`, `name-reserved`.
+        RobotError: The name is missing or invalid; codes `name-missing`, `name-long`, `name-unprintable`,
+            `name-reserved`.
     """
     name = node.attributes.get("name", "")
     faults = {"missing": not name.strip(), "long": len(name) > LONGEST_NAME, "unprintable": not name.isprintable()}
@@ -340,14 +363,14 @@ def read_name(node: XmlNode) -> str:
 
 
 def near_vector(node: XmlNode, attribute: str) -> Vector:
-    """Return a position in an attribute [m], zero if there is no such attribute.
+    """Return the position (3 numbers) in an attribute [m], zero if there is no such attribute; refuse a huge one.
 
     Args:
         node: The element.
         attribute: Name of the attribute.
 
     Raises:
-        RobotError: Codes `number`, `not-finite`, `vector-size`, `far-away`.
+        RobotError: The position is invalid or too far away; codes `number`, `not-finite`, `vector-size`, `far-away`.
     """
     x, y, z = node.vector(attribute, 3) or ZERO
     # beyond 1e6 m poses are less accurate than 1e-9 m
@@ -367,14 +390,14 @@ def _pose(node: XmlNode) -> Pose:
 
 
 def unit_axis(xyz: tuple[float, ...], axis: XmlNode) -> Vector:
-    """Return the unit vector along an axis.
+    """Normalise the axis of a joint to unit length.
 
     Args:
-        xyz: The axis.
-        axis: Its element, for warnings and refusals.
+        xyz: The axis as in the file.
+        axis: Its XML element, for warnings and errors.
 
     Raises:
-        RobotError: Codes `axis-zero`, `axis-norm`.
+        RobotError: The axis cannot be normalised; codes `axis-zero`, `axis-norm`.
     """
     norm = math.hypot(*xyz)
     axis.require(norm > 0.0, "axis-zero")
@@ -411,22 +434,22 @@ def _warn_of_unread(node: XmlNode) -> XmlNode:
 def validate_parts(
     name: str, links: Sequence[UrdfLink], joints: Sequence[UrdfJoint], locked: Collection[str], log: Diagnostics
 ) -> UrdfFile:
-    """Check links and joints of any format against each other: one tree, mimic joints and limits.
+    """Check links and joints of any format against each other: they form one tree; mimic joints and limits are valid.
 
     Args:
         name: Name of the robot.
         links: All links.
         joints: All joints.
-        locked: Joints that will not move: their limits and leaders do not matter.
-        log: For warnings and refusals.
+        locked: Names of joints that will be locked; their limits and leaders are not checked.
+        log: Collector of warnings, which makes the errors.
 
     Returns:
         The validated description.
 
     Raises:
-        RobotError: Codes `no-links`, `duplicate-link`, `duplicate-joint`, `unknown-link`, `self-loop`, `two-parents`,
-            `no-root`, `many-roots`, `detached`, `too-many-links`, `too-many-joints`, `too-deep`, `too-many-dof`,
-            `mimic-*`, `limit-*`.
+        RobotError: The description is invalid; codes `no-links`, `duplicate-link`, `duplicate-joint`, `unknown-link`,
+            `self-loop`, `two-parents`, `no-root`, `many-roots`, `detached`, `too-many-links`, `too-many-joints`,
+            `too-deep`, `too-many-dof`, `mimic-*`, `limit-*`.
     """
     log.require(len(links) > 0, "no-links", 1)
     # largest numbers of degrees of freedom (Pinocchio's memory grows with the cube: 0.22 GB for these), of links and of
@@ -481,19 +504,19 @@ def validate_parts(
 def resolve_mimics(
     joints: Sequence[UrdfJoint], alone: Collection[str], log: Diagnostics
 ) -> tuple[tuple[Mimic, ...], dict[str, float]]:
-    """Follow every chain of mimics to its end, for any order of the joints.
+    """Replace chains of mimic joints by direct ones: each mimic joint gets the independent joint at the chain's end.
 
     Args:
-        joints: All joints.
-        alone: Joints that are locked by name: their leaders do not matter.
-        log: For warnings and refusals.
+        joints: All joints, in any order.
+        alone: Names of joints that are locked by the user; their leaders are ignored.
+        log: Collector of warnings, which makes the errors.
 
     Returns:
-        Mimic joints with independent, moving leaders, for chains of any length; and the position of each mimic joint
-        whose chain ends at a fixed joint [rad or m].
+        Mimic joints with independent, moving leaders; and the position of each mimic joint whose chain ends at a fixed
+        joint [rad or m].
 
     Raises:
-        RobotError: Codes `mimic-unknown`, `mimic-cycle`, `mimic-type`, `mimic-multiplier`.
+        RobotError: A mimic is invalid; codes `mimic-unknown`, `mimic-cycle`, `mimic-type`, `mimic-multiplier`.
     """
     by_name, followers, resting = {j.name: j for j in joints}, list[Mimic](), dict[str, float]()
     if without_effect := [j.name for j in joints if j.mimic is not None and j.type == "fixed"]:
@@ -581,12 +604,12 @@ def _check_limits(joints: Sequence[UrdfJoint], leaders: Mapping[str, str]) -> No
 
 
 def kinematic_urdf(urdf: UrdfFile, visuals: Mapping[str, Sequence[str]] | None = None) -> str:
-    """Return a plain URDF of links and joints.
+    """Return the text of a URDF with the kinematics of a description.
 
     Args:
         urdf: A validated description.
-        visuals: Link -> `<visual>` elements to insert; the `<mimic>` of joints is then written, too. None for
-            Pinocchio: it needs no visuals, and its mimic joints are joints of their own.
+        visuals: Mapping from a link to its `<visual>` elements, which are inserted; `<mimic>` elements are then written
+            too. None for Pinocchio, which needs no visuals and for which mimic joints are ordinary joints.
     """
     parts = [f"<robot name={quoteattr(urdf.name)}>"]
     for link in urdf.links:
@@ -617,7 +640,7 @@ def kinematic_urdf(urdf: UrdfFile, visuals: Mapping[str, Sequence[str]] | None =
 
 
 def join_numbers(numbers: Iterable[float]) -> str:
-    """Return numbers as the text of an attribute, to the last bit.
+    """Return numbers as the text of an XML attribute, without loss of precision.
 
     Args:
         numbers: The numbers.

@@ -1,4 +1,4 @@
-"""xacro files -> URDF, on request. Expressions of the file's author run in a separate process with limits.
+"""Expand xacro files to URDF, on request. Expressions of the file's author run in a separate process with limits.
 
 That process runs this file as a script; therefore its functions import the parts of the package that they need.
 """
@@ -29,13 +29,14 @@ def expand_xacro(path: Path, asked: bool | Mapping[str, str], package_dirs: Sequ
 
     Args:
         path: The .xacro file.
-        asked: True, or the values of its arguments (`<xacro:arg>`) by name, if the caller opted in; else False.
+        asked: True to allow the expansion, or a mapping with the values of the file's arguments (`<xacro:arg>`); False
+            to refuse it.
         package_dirs: Folders that contain the packages of `$(find ...)`; the folders above the file are searched too.
-        find: Function that finds the other packages: name -> folder, or None.
+        find: Function that takes the name of any other package and returns its folder, or None.
 
     Raises:
-        RobotError: Codes `xacro` (not opted in), `xacro-arg` (no such argument), `xacro-failed` (its expressions are
-            wrong, or take more than 20 s or 1 GB), `no-links`, and the codes of reading a file.
+        RobotError: Codes `xacro` (`asked` is False), `xacro-arg` (no such argument), `xacro-failed` (expressions are
+            wrong, or take more than 20 s or 1 GB), `no-links`, and the codes of `read_description`.
         MissingExtraError: xacrodoc is not installed.
     """
     from manip_learn.errors import MissingExtraError, RobotError, advice, closest_names

@@ -1,4 +1,4 @@
-"""The figure that stands for a robot without shapes: bones from joint to joint, and their thickness.
+"""Substitute shapes for a robot without shapes: bones from joint to joint, and their thickness.
 
 A bone leaves a joint along its axis and arrives at the next joint along the next axis, as the links of arms do.
 """
@@ -16,13 +16,13 @@ from manip_learn.robot.joints import joint_motions
 
 @final
 class Bone(NamedTuple):
-    """A straight piece of a link, in the frame of the joint that carries it.
+    """Straight piece of a link, in the frame of the joint that carries the link.
 
     Attributes:
-        joint: Pinocchio id of that joint; 0 is the world.
-        child: Pinocchio id of the joint that the link leads to; 0 for the end of an arm.
-        ends: shape (2, 3), from the side of that joint [m].
-        radii: Radii at both ends [m].
+        joint: Pinocchio id of the joint that carries the link; 0 is the world.
+        child: Pinocchio id of the next joint; 0 at the end of an arm.
+        ends: Both ends (2, 3), the one near `joint` first [m].
+        radii: Radius at each end [m].
     """
 
     joint: int
@@ -36,7 +36,7 @@ def bones(model: pin.Model, radius: Float[np.ndarray, " J"]) -> tuple[Bone, ...]
 
     Args:
         model: Pinocchio model of the robot.
-        radius: Radius of the figure at each joint [m], see `link_radii`.
+        radius: Radius at each joint [m], from `link_radii`.
     """
     shortest, tip = 0.2, 0.8  # shortest bone over its radius; radius at the end over the radius at the last joint
     out, axes = list[Bone](), [motion[1] if motion else np.zeros(3) for motion in joint_motions(model)]
@@ -57,13 +57,13 @@ def bones(model: pin.Model, radius: Float[np.ndarray, " J"]) -> tuple[Bone, ...]
 
 
 def link_ends(model: pin.Model) -> dict[int, Float[np.ndarray, " 3"]]:
-    """Return the farthest fixed link on each joint that carries no other joint [m], in the joint's frame.
+    """Return the end of each chain of joints: the position of the farthest link that is fixed to its last joint.
 
     Args:
         model: Pinocchio model of the robot.
 
     Returns:
-        Pinocchio id of the joint -> position (3,).
+        Dictionary from the Pinocchio id of the last joint to a position (3,) in its frame [m].
     """
     inner = set(model.parents[1:])
     ends: dict[int, np.ndarray] = {}
@@ -75,7 +75,7 @@ def link_ends(model: pin.Model) -> dict[int, Float[np.ndarray, " 3"]]:
 
 
 def link_radii(model: pin.Model) -> Float[np.ndarray, " J"]:
-    """Return the radius of the figure at each joint [m]: proportional to the robot's reach, smaller towards the tip.
+    """Return the radius of the bones at each joint [m]: proportional to the robot's reach, smaller towards the tip.
 
     Args:
         model: Pinocchio model of the robot.

@@ -1,7 +1,7 @@
-"""Mesh addresses -> files inside the robot's folders -> triangles.
+"""Find the mesh files of a robot, inside its folders, and read their triangles.
 
-Files come from users, and their parsers are trimesh's. Before parsing, a file is checked: its size, its kind, and the
-content that it claims. Materials and pictures that it names are not read.
+Files come from users and are parsed by trimesh. Before that, a file is checked: size, type, and the content that it
+declares. Materials and pictures to which it refers are not read.
 """
 
 from __future__ import annotations
@@ -38,14 +38,14 @@ URDF_FOLDERS = ("urdf", "urdfs", "robots", "robot", "xacro", "description")
 @final
 @dataclass(frozen=True)
 class MeshRoots:
-    """Folders in which the meshes of one robot may be looked up, in this order.
+    """Folders in which the meshes of a robot may be found, searched in this order.
 
     Attributes:
         relative: Folders for relative addresses, the URDF's folder first.
         parents: Folders that may contain any package.
-        ancestors: Folders above the URDF; a package in them must contain the URDF or a package.xml, so that
-            `package://etc/...` does not lead out of /.
-        packages: Packages by the name in their package.xml, for folders that were renamed.
+        ancestors: Folders above the URDF. A package in them must contain the URDF or a package.xml, so that an address
+            such as `package://etc/...` cannot read system files.
+        packages: Name in a package.xml -> folder, for package folders that were renamed.
     """
 
     relative: tuple[Path, ...]
@@ -55,9 +55,9 @@ class MeshRoots:
 
 
 def mesh_roots(urdf: Path, package_dirs: Sequence[Path]) -> MeshRoots:
-    """Return the folders for the meshes of a robot.
+    """Return the folders in which the meshes of a robot may be found.
 
-    They are its own folder, the package folders, the folders above, the folders of ROS_PACKAGE_PATH and
+    They are the folder of its description, the package folders, the folders above, the folders of ROS_PACKAGE_PATH and
     AMENT_PREFIX_PATH, and example-robot-data.
 
     Args:
@@ -101,7 +101,7 @@ def find_mesh(uri: str, roots: MeshRoots) -> Path:
         roots: Folders of the robot.
 
     Raises:
-        RobotError: Codes `mesh-scheme`, `mesh-missing`, `mesh-outside`.
+        RobotError: The file does not exist or may not be read; codes `mesh-scheme`, `mesh-missing`, `mesh-outside`.
     """
     try:
         name, folders = _split_address(uri, roots)
@@ -138,7 +138,7 @@ def _split_address(uri: str, roots: MeshRoots) -> tuple[str, Sequence[Path]]:
 
 
 def find_package(package: str, urdf: Path, package_dirs: Sequence[Path]) -> Path | None:
-    """Return the folder in which meshes of a package would be looked up; None without one.
+    """Return the folder of a package, as it is found for meshes; None if there is none.
 
     Args:
         package: Name of the package.
@@ -165,13 +165,13 @@ def _package_folders(package: str, roots: MeshRoots) -> list[Path]:
 
 @final
 class Mesh(NamedTuple):
-    """A triangle mesh.
+    """Triangle mesh.
 
     Attributes:
-        vertices: shape (n, 3) [m]; from a file, without the scale of the URDF.
-        faces: shape (m, 3), counted from 0, counter-clockwise from outside.
-        colours: shape (m, 4), red, green, blue and opacity of each triangle, 0 to 1; None if unknown.
-        normals: shape (n, 3), unit vectors out of the surface at the vertices; None if they follow from the faces.
+        vertices: Vertices (n, 3) [m]; of a mesh from a file, without the scale in the URDF.
+        faces: Indices (m, 3) of the vertices of each triangle, counter-clockwise as seen from outside.
+        colours: Red, green, blue and opacity of each triangle, 0 to 1, shape (m, 4); None if not known.
+        normals: Outward unit normals at the vertices (n, 3); None to compute them from the faces.
     """
 
     vertices: Float[np.ndarray, "n 3"]
@@ -181,7 +181,7 @@ class Mesh(NamedTuple):
 
 
 def compact(mesh: Mesh) -> Mesh:
-    """Return a mesh without unused vertices, and without colours.
+    """Return a mesh without its unused vertices and without colours.
 
     Args:
         mesh: The mesh.
@@ -197,7 +197,7 @@ def by_colour(mesh: Mesh) -> list[tuple[Colour | None, Mesh]]:
         mesh: The mesh.
 
     Returns:
-        Each colour with a mesh of its triangles; None with the mesh itself if it has no colours.
+        Pairs of a colour and the mesh of its triangles; the single pair (None, `mesh`) if the mesh has no colours.
     """
     if mesh.colours is None:
         return [(None, mesh)]
@@ -210,7 +210,7 @@ def open_edges(mesh: Mesh) -> int:
     """Return the number of edges that do not lie between exactly two triangles; 0 if the mesh is closed.
 
     Args:
-        mesh: The mesh; vertices at the same position count as one.
+        mesh: The mesh; vertices at the same position are treated as one.
     """
     corners = np.unique(mesh.vertices, axis=0, return_inverse=True)[1].reshape(-1)[mesh.faces]
     edges = np.sort(corners[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
@@ -218,13 +218,13 @@ def open_edges(mesh: Mesh) -> int:
 
 
 def read_meshes(paths: Sequence[Path]) -> dict[Path, Mesh | RobotError]:
-    """Read meshes; a failed one gets its error, codes `mesh-*`, and none is raised.
+    """Read mesh files; errors are returned, not raised.
 
     Args:
         paths: Files inside the robot's folders.
 
     Returns:
-        File -> its mesh, or the error.
+        Dictionary from each file to its mesh, or to the error with which it is refused (codes `mesh-*`).
     """
     out: dict[Path, Mesh | RobotError] = {}
     for path in dict.fromkeys(paths):

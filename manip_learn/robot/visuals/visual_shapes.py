@@ -1,7 +1,7 @@
 """Shapes of a robot's links: the `<visual>` or `<collision>` elements of its URDF.
 
-Meshes become checked triangles. A faulty element costs a shape, never the robot: the others count, and plain shapes
-replace a link that loses all of its own.
+Meshes become checked triangles. A faulty element is left out with a warning, and the other shapes are used; a link
+without any usable shape gets simple substitutes.
 """
 
 from __future__ import annotations
@@ -30,12 +30,12 @@ SHEET = 1e-3  # [m] thickness of a flat shape
 
 @final
 class Solid(NamedTuple):
-    """A plain body, centred at its origin.
+    """Simple geometric body, centred at its origin.
 
     Attributes:
         kind: Type of the body.
-        size: For a box the edge lengths x, y, z; for a sphere the radius; for the others, which stand along z, radius
-            and length, for a capsule without its half spheres [m].
+        size: Dimensions [m]: (x, y, z) of a box; (radius,) of a sphere; (radius, length) of a cylinder or capsule along
+            z. The length of a capsule is without its half spheres.
     """
 
     kind: Literal["box", "sphere", "cylinder", "capsule"]
@@ -45,15 +45,15 @@ class Solid(NamedTuple):
 @final
 @dataclass(frozen=True, eq=False)
 class Visual:
-    """One shape on one link.
+    """Shape of a link.
 
     Attributes:
         link: Name of the link.
         joint: Pinocchio id of the moving joint that carries it; 0 is the fixed world.
-        placement: shape (4, 4), from the shape to that joint [m].
-        shape: The body or the mesh, with its scale applied; None if the file describes an unusable shape.
-        colour: Red, green, blue, opacity in 0 ... 1, for a shape that has no colours of its own.
-        fault: Reason for the missing shape, or empty.
+        placement: Pose (4, 4) of the shape in the frame of that joint [m].
+        shape: Simple body, or mesh with its scale applied; None if the shape cannot be used.
+        colour: Red, green, blue, opacity, each 0 to 1, for a shape without colours of its own.
+        fault: Reason why the shape cannot be used; empty if it can.
     """
 
     link: str
@@ -66,7 +66,7 @@ class Visual:
 
 @final
 class MeshElement(NamedTuple):
-    """A mesh as the URDF names it: file name or package:// address, and the scale along x, y, z."""
+    """Mesh as given in a URDF: file name or `package://` address, and scale along x, y, z."""
 
     uri: str
     scale: Vector
@@ -75,9 +75,15 @@ class MeshElement(NamedTuple):
 @final
 @dataclass(frozen=True)
 class VisualElement:
-    """One `<visual>` or `<collision>`; an unusable one has `geometry` None and the reason in `fault`.
+    """Element `<visual>` or `<collision>` of a URDF.
 
-    Without a colour, `colour` is None; without a name of its own, `name` is empty.
+    Attributes:
+        link: Name of the link.
+        pose: Pose in the link's frame.
+        geometry: Simple body or mesh; None if the element cannot be used.
+        colour: Red, green, blue, opacity, each 0 to 1; None if it has no colour.
+        fault: Reason why it cannot be used; empty if it can.
+        name: Name of the element; empty if it has none.
     """
 
     link: str
@@ -89,11 +95,11 @@ class VisualElement:
 
 
 def visual_elements(content: bytes, path: Path, tag: Tag = "visual") -> list[VisualElement]:
-    """Read all visuals of a validated URDF, or all its collision shapes, which have the same form.
+    """Read all `<visual>` or all `<collision>` elements of a validated URDF.
 
     Args:
         content: Text of the URDF.
-        path: Its file, for the messages.
+        path: Its file, for error messages.
         tag: `"visual"` or `"collision"`.
 
     Returns:
@@ -168,10 +174,10 @@ def _unusable(node: XmlNode, seen: str) -> RobotError:
 
 
 def losses(shapes: Sequence[Visual]) -> tuple[str, ...]:
-    """Return the links that lose a shape, in one sentence for each reason.
+    """Return one sentence per reason for which shapes cannot be used, with the names of their links.
 
     Args:
-        shapes: All shapes of a robot, see `visual_shapes`.
+        shapes: All shapes of a robot, from `visual_shapes`.
     """
     reasons, bare = merge_similar(v.fault for v in shapes if v.fault), bare_links(shapes)
     links = dict[tuple[str, str], dict[str, None]]()
@@ -183,35 +189,40 @@ def losses(shapes: Sequence[Visual]) -> tuple[str, ...]:
 
 
 def shape_faults(robot: Robot, *tags: Tag) -> tuple[str, ...]:
-    """Return a sentence for each reason for which a link loses a shape; a tag without elements has no faults.
+    """Return one sentence per reason for which shapes of a robot cannot be used.
 
     Args:
         robot: The robot.
-        *tags: Tags of the elements to check.
+        *tags: Elements to check, `"visual"` or `"collision"`. A tag that the description does not use gives no
+            sentence.
     """
     sentences = (losses(visual_shapes(robot, tag)) for tag in tags if _elements(robot, tag))
     return tuple(dict.fromkeys(sentence for one in sentences for sentence in one))
 
 
 def bare_links(shapes: Sequence[Visual]) -> dict[str, int]:
-    """Return the links that lose all of their shapes, each with the joint that carries it.
+    """Return the links none of whose shapes can be used.
 
     Args:
-        shapes: All shapes of a robot, see `visual_shapes`.
+        shapes: All shapes of a robot, from `visual_shapes`.
+
+    Returns:
+        Dictionary from the name of a link to the Pinocchio id of the joint that carries it.
     """
     covered = {v.link for v in shapes if not v.fault}
     return {v.link: v.joint for v in shapes if v.link not in covered}
 
 
 def resolve_meshes(robot: Robot, tag: Tag = "visual") -> tuple[dict[str, Path], dict[str, str]]:
-    """Look up the meshes of a robot without opening them.
+    """Find the mesh files of a robot without opening them.
 
     Args:
         robot: The robot.
-        tag: `"visual"` for its drawn shapes, `"collision"` for its collision shapes.
+        tag: `"visual"` for its visual shapes, `"collision"` for its collision shapes.
 
     Returns:
-        Address in the URDF -> file; and for the others, address -> reason.
+        Dictionary from the address in the URDF to the file; and, for meshes that were not found, from the address to
+        the reason.
     """
     files, missing = dict[str, Path](), dict[str, str]()
     roots = mesh_roots(robot.source or Path(robot.name), robot.package_dirs)
@@ -225,14 +236,14 @@ def resolve_meshes(robot: Robot, tag: Tag = "visual") -> tuple[dict[str, Path], 
 
 @lru_cache(maxsize=16)
 def visual_shapes(robot: Robot, tag: Tag = "visual") -> tuple[Visual, ...]:
-    """Return the shapes of a robot's links, each placed on the moving joint that carries it.
+    """Return the shapes of a robot's links, each with its pose on the moving joint that carries it.
 
-    A missing, unsafe or broken mesh is a fault of its link, reported once; a robot without visuals has a fault on every
-    link. A mesh that is used twice at one scale is one object.
+    A shape with a missing, unsafe or broken mesh has a `fault` instead of a shape; so has every link of a robot without
+    visuals. A mesh that is used twice at one scale is one object.
 
     Args:
         robot: The robot.
-        tag: `"visual"` for its drawn shapes, `"collision"` for its collision shapes.
+        tag: `"visual"` for its visual shapes, `"collision"` for its collision shapes.
     """
     elements, model, shapes = _elements(robot, tag), robot.pinocchio_model, list[Visual]()
     if not elements and tag == "visual":
