@@ -165,6 +165,7 @@ REFUSED = {
     "mjcf-class": one("", '<joint class="nowhere"/>'),
     "mjcf-compiler": mjcf("", head='<compiler angle="gon"/>'),
     "mjcf-orientation": one('quat="0 0 0 0"'),
+    "mjcf-orientation twice": one('quat="1 0 0 0" euler="0 0 1"'),
     "mjcf-coupling": mjcf(body("a", "", JOINT + SECOND), tail=COUPLED.format("0 1 2")),
     "joint-type": one("", '<joint type="ball"/>'),
     "number": one('pos="x 0 0"'),
@@ -177,4 +178,4 @@ def test_what_cannot_be_kept_is_refused(tmp_path, code):
     """Files that Pinocchio's own reader takes in silence or garbles are refused with a code and a line."""
     with pytest.raises(RobotError, match=str(tmp_path)) as caught:
         load(tmp_path, REFUSED[code])
-    assert caught.value.code == code and caught.value.line is not None
+    assert caught.value.code == code.partition(" ")[0] and caught.value.line is not None
