@@ -115,6 +115,13 @@ TABLES = {
 
 
 # ---- archives
+def cell(*values: Any) -> np.ndarray:
+    """Return a MATLAB cell array of these values."""
+    out = np.empty((1, len(values)), dtype=object)
+    out[0, :] = values
+    return out
+
+
 def typed(dtype: str) -> Read:
     """Big-endian, short and integer numbers, read for what they are, with a note."""
     q = (Q * 3.0).astype(dtype)
@@ -122,11 +129,14 @@ def typed(dtype: str) -> Read:
 
 
 STACK, RATE = np.stack([Q, 2.0 * Q]), {"joint_names": JOINTS, "rate": 50.0, "q": [Q, 2.0 * Q]}
+STAMPED = np.vstack([Q.T, TIME])  # the pose beside it has the same shape and is not taken for joint positions
+STRUCTS = ({"arm": {"pose": STAMPED, "joint_states": STAMPED}, "times": [0.0, 3.0]} for _ in range(2))
 ARCHIVES = {
     **{dtype: typed(dtype) for dtype in (">f8", "<f2", "<i4", "u1")},
     "efforts": read(archive(effort=EFFORT), u=U, effort=EFFORT),
     "efforts that are no numbers": read(archive(effort=BROKEN), "efforts are not finite", u=U),
     "a stack in an archive": read(one("a.npz", npz(demos=STACK)), "q from 'demos'", **RATE),
+    "structs": read(archive("a.mat", data=cell(*STRUCTS)), "not used", q=[Q, Q], joint_names=(*JOINTS, "time")),
 }  # fmt: skip
 
 # ---- LeRobot

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 import shlex
 from collections.abc import Sequence
 from contextlib import suppress
@@ -103,7 +104,8 @@ def learning_answer(constraints: Sequence[ml.Constraint], reports: Sequence[Lear
     if mechanism is not None and demo is not None:
         words = SHAPES[mechanism.kind][0]
         title = f"{words[0].upper()}{words[1:]}, moved {way_in_words(demo.extent, demo.unit)} when it was shown."
-        sentences = report.sentence.split(f" It looks like {words}. ")
+        parts = re.split(rf" It looks like {re.escape(words)}[.;] ", report.sentence)  # the title says it
+        sentences = [part[0].upper() + part[1:] for part in parts]
     contents = []
     for c, r in zip(constraints, reports, strict=True):
         rows = {"selection": c.selection.tolist(), "axes": r.row_names, "shown": c.provenance.get("shown")}

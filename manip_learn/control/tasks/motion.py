@@ -503,7 +503,7 @@ def motion(
     if (again and (demo is None or heading is not None)) or (distance is not None and angle is not None):
         lacking = "the constraint has no demonstrated motion: " if again and demo is None else ""
         how = advice(": {}", "distance=0.3 [m] or angle=0.7 [rad]", "--along 0.3 (metres) or --turn 40 (degrees)")
-        raise TargetError(f"{lacking}give one distance or angle{how}")
+        raise TargetError(f"{lacking}give one distance or angle{how or ' to `manip-learn control`'}")
     unit: Unit = "m" if angle is None else "rad"
     amount: Any = distance if angle is None else angle
     # mechanisms that do not move by this unit, their motion, and the argument for it
