@@ -40,6 +40,7 @@ from recording_formats import (
 from rosbags.rosbag1 import Writer as Writer1
 from rosbags.rosbag2 import CompressionMode
 from rosbags.rosbag2.reader import zstd
+from scipy.io import savemat
 
 import manip_learn as ml
 from manip_learn.cli import main
@@ -136,7 +137,10 @@ ARCHIVES = {
     "efforts": read(archive(effort=EFFORT), u=U, effort=EFFORT),
     "efforts that are no numbers": read(archive(effort=BROKEN), "efforts are not finite", u=U),
     "a stack in an archive": read(one("a.npz", npz(demos=STACK)), "q from 'demos'", **RATE),
-    "structs": read(archive("a.mat", data=cell(*STRUCTS)), "not used", q=[Q, Q], joint_names=(*JOINTS, "time")),
+    "structs": read(
+        one("a.mat", lambda path: savemat(path, {"data": cell(*STRUCTS)})), "not used", q=[Q, Q],
+        joint_names=(*JOINTS, "time"),
+    ),
 }  # fmt: skip
 
 # ---- LeRobot
