@@ -88,7 +88,7 @@ def test_the_next_line_does_the_task_when_it_is_pasted(run):
     given = ("--package-dir", "my arm", "--xacro-arg", "called=light pink")
     code, out, err = run("learn", arm, *DRAWER, *FRAME, *given)
     assert (code, err) == (0, "")
-    for words in ("written: ", "1 way done as shown"):
+    for words in ("written: ", "1 motion completed as demonstrated"):
         (line,) = (line for line in out.splitlines() if line.startswith("next: manip-learn "))
         code, out, err = run(*shlex.split(line)[2:])
         assert (code, err) == (0, "") and words in out, line

@@ -92,7 +92,7 @@ def test_learning_explains_its_words() -> None:
     learner = fit(LearnOptions("sawyer", list(DRAWER), frame=FRAME[1]))[0]
     answer = learning_answer(learner.constraints_, learner.reports_)
     text, report = in_line(60, answer), learner.report_
-    assert text.startswith("A straight line (a drawer), moved 0.") and "direction known to 0.1" in text
+    assert text.startswith("A straight line (a drawer), demonstrated travel 0.") and "direction known to 0.1" in text
     assert f"gap {report.gap:,.0f} (10 is clear)" in text and report.mechanism is not None
     lost = dataclasses.replace(report.mechanism, uncertainty={**report.mechanism.uncertainty, "axis": 1600.0})
     weak = dataclasses.replace(report, gap=9.94, held_out_residual=9e-6, mechanism=lost, uncertainty_deg=None)

@@ -134,13 +134,13 @@ def test_the_report_states_the_parts():
     written = json.loads(json.dumps(report.to_dict(), allow_nan=False))
     assert written["uncertainty"] == report.uncertainty == learner.constraint_.provenance["uncertainty"]
     said = report.known_to()
-    assert "not included: a base that stands turned" in said
+    assert "not included: a rotated robot base" in said
     assert report.mu_uncertainty is not None and 0.0 < report.mu_uncertainty < 0.1 and ", mu to 0." in said
     assert written["mu_uncertainty"] == report.mu_uncertainty
     demos, truth = paper_motions(PLANAR_ROWS["x-theta"], np.random.default_rng(4), n_trajectories=40, noise=0.01)
     joint = ml.ConstraintLearner(truth.features, 2, "joint").fit(demos).report_
     assert [part for part in PARTS if joint.uncertainty[part] is None] == [JOINT_ZEROS]
-    assert "not included: joint zeros that are off and a base that stands turned" in joint.known_to()
+    assert "not included: joint zeros that are off and a rotated robot base" in joint.known_to()
     demos, truth, _ = held(10, 0.0, motions=1)
     one = learnt(demos, truth).report_
     assert one.uncertainty == dict.fromkeys(PARTS) and one.uncertainty_deg is None and one.mu_uncertainty is None

@@ -215,7 +215,7 @@ def outcome(
     return Answer(
         content,
         title=content["sentence"],
-        sentences=[f"the hand took hold at {place(content['hold'])}" if content["hold"] else ""],
+        sentences=[f"grasp at {place(content['hold'])}" if content["hold"] else ""],
         facts=facts,
         remarks=[f"steps: {', '.join(f'{status} {n}' for status, n in r.status_counts.items())}"],
         warnings=list(_obstacles(content, way, aim)),

@@ -103,7 +103,7 @@ def learning_answer(constraints: Sequence[ml.Constraint], reports: Sequence[Lear
     mechanism, demo, title, sentences = report.mechanism, constraint.shown, report.sentence, list[str]()
     if mechanism is not None and demo is not None:
         words = SHAPES[mechanism.kind][0]
-        title = f"{words[0].upper()}{words[1:]}, moved {way_in_words(demo.extent, demo.unit)} when it was shown."
+        title = f"{words[0].upper()}{words[1:]}, demonstrated travel {way_in_words(demo.extent, demo.unit)}."
         parts = re.split(rf" It looks like {re.escape(words)}[.;] ", report.sentence)  # the title says it
         sentences = [part[0].upper() + part[1:] for part in parts]
     contents = []

@@ -59,7 +59,7 @@ def repeat_skill(options: RepeatOptions, progress: Progress) -> Answer:
             ends.append(f"{step.name}: at {place(step.place)}{missed}")
         off = {"off": 1e3 * step.deviation, "fine": "mm" if step.unit == "m" else "mm or mrad"}
         rows.append({"step": step.name} | cells(document | off, _STEP))
-    ways = counted(sum(step.kind == "way" for step in result.steps), "way")
+    motions = counted(sum(step.kind == "way" for step in result.steps), "motion")
     answer = Answer(
         {
             "done": result.is_done,
@@ -71,7 +71,7 @@ def repeat_skill(options: RepeatOptions, progress: Progress) -> Answer:
             "phases": [list(phase) for phase in rollout.phases],
             "notes": list(result.notes),
         },
-        title=f"{ways} done as shown" if result.is_done else "not all of it was done",
+        title=f"{motions} completed as demonstrated" if result.is_done else "not completed",
         sentences=[begins, result.pace, *ends],
         rows=rows,
         warnings=[f"{step.name}: stopped by {step.stopped_by}" for step in result.steps if step.stopped_by],

@@ -18,7 +18,7 @@ from manip_learn.robot.robot_summary import inspect_robot
 # origin of a robot -> title, the extra that adds more of them, examples of these
 _ORIGINS = {
     "package": ("with the package (and their number of joints)", "", ""),
-    "extra": ("with the extra robots, without a net", "robots", "panda, xarm7, so101, ur5 and 60 more"),
+    "extra": ("with the extra robots, offline", "robots", "panda, xarm7, so101, ur5 and 60 more"),
     "net": ("with the extra descriptions, fetched when first named", "descriptions", "xarm6 and more"),
 }
 

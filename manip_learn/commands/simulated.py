@@ -28,7 +28,7 @@ def start_posture(robot: ml.Robot, constraint: ml.Constraint, start: str | None,
     if typed is not None:
         q0, whence = robot.checked_posture(typed), ""
     elif moves and demonstrated:
-        q0, whence = robot.checked_posture(demonstrated[0]), "the first posture in which the task was shown"
+        q0, whence = robot.checked_posture(demonstrated[0]), "the first demonstrated configuration"
     check_inside(robot, robot.positions(q0))
     return q0, f"start: {whence} (another: --start)" if whence else ""
 

@@ -87,7 +87,7 @@ def show(console: Console, answer: Answer, explain: bool | None = None) -> None:
     say(console, answer.written, whole=True)
     if answer.page is not None:
         say(console, [f"replay: {answer.page.html} ({answer.page.bytes / 1e6:.1f} MB)"], whole=True)
-    say(console, ["--explain says what the words mean" if explain is False else ""], "dim")
+    say(console, ["--explain defines the terms" if explain is False else ""], "dim")
     say(console, [f"next: {answer.following}" if answer.following else ""], whole=True)
 
 

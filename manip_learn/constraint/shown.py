@@ -202,7 +202,7 @@ class Shown:
     def sentence(self) -> str:
         """The demonstrated motion, in words."""
         at = "at the same place" if self.hold is not None else f"at places up to {100 * self.scatter:.2g} cm apart"
-        where = f"In {counted(self.n, 'contact')} the hand took hold {at}"
+        where = f"In {counted(self.n, 'contact')} the hand grasped {at}"
         size, unit, digits = (1.0, "m", 2) if self.unit == "m" else (math.degrees(1.0), "degrees", 0)
         distance, low, high = (f"{size * x:.{digits}f}" for x in (self.extent, self.least, self.most))
         distance += f" {unit}" if low == high else f" {unit} ({low} to {high})"

@@ -293,7 +293,7 @@ def parts_in_words(parts: Uncertainty, reference: str | None) -> str:
     """
     included = [f"{name} {error_in_words(part, 'degrees')}" for name, part in parts.items() if part is not None]
     missing = ["joint zeros that are off"] if included and parts[JOINT_ZEROS] is None else []
-    missing += [] if reference == "local" else ["a base that stands turned, which no recording can show"]
+    missing += [] if reference == "local" else ["a rotated robot base, which no recording can show"]
     text = ", ".join(included) or "scatter of the samples"
     return f"{text}; not included: {listed(missing)}" if missing else text
 

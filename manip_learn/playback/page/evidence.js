@@ -19,7 +19,7 @@ function rowTable(rows) {
 
 function fillDone(rows) {
   if (!rows.length) return;
-  const heads = ["", "took hold at", "way", "off", "fastest joint", "margin"], known = heads.map((_, k) => k).filter((k) => rows.some((row) => row[k]));
+  const heads = ["", "grasp at", "way", "off", "fastest joint", "margin"], known = heads.map((_, k) => k).filter((k) => rows.some((row) => row[k]));
   const caption = "Off: the largest distance of the hand from what holds it; margin: the least share of a limit that is left";
   addSheet("done", "Done", "What was done").append(tableOf(caption, known.map((k) => heads[k]), rows.map((row) => known.map((k) => row[k]))));
 }

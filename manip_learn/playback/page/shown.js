@@ -44,7 +44,7 @@ class Shown {
     return [
       { ink: "--scene-ink", form: "line", say: () => (on.mechanism ? learnt : "") },
       { ink: "--shown", form: "line", say: () => (on.mechanism && shown.length ? "as it was shown" : "") },
-      { ink: "--shown", form: "ball", say: () => (on.mechanism && holds ? "where hands took hold" : "") },
+      { ink: "--shown", form: "ball", say: () => (on.mechanism && holds ? "demonstrated grasps" : "") },
       { ink: "--handle", form: "ball", say: own("handles", (r) => (r.pieces.length ? `handle ${show.panes ? "" : openInWords(r, show.time)}` : "")) },
       { ink: "--free", say: marks("constraint", ({ held, free, heldTurns, freeTurns }) => (held.length && free.length % 3 ? "free to move" : heldTurns.length && freeTurns.length ? "free to turn" : "")) },
       { ink: "--held", say: marks("constraint", ({ held, heldTurns }) => (held.length ? "held" : heldTurns.length ? "may not turn" : "")) },
