@@ -62,7 +62,8 @@ class Contact:
         **renamed: Former names of arguments, valid until 0.4: `held`, `driven`.
 
     Raises:
-        ConfigurationError: A force, latency, resolution or stiffness is not positive.
+        ConfigurationError: A force is not positive, the latency or the resolution is negative, or one of them is not a
+            finite number. `ServoLoop` checks the stiffness.
         TypeError: An unknown argument.
     """
 

@@ -373,7 +373,7 @@ class Limits:
         """Return a direction of joint motion, or its negative if the position limits leave more room there.
 
         Args:
-            q: Posture.
+            q: Configuration (nq,) or joint positions (nv,) [rad or m].
             direction: Direction (nv,), of any length.
 
         Returns:

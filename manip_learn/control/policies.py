@@ -42,7 +42,12 @@ class NullSpacePolicy(ABC):
 
     @abstractmethod
     def __call__(self, q: ArrayLike, t: float = 0.0) -> Vector:
-        """Return the desired joint velocity (nv,) [rad/s or m/s] at posture q and time t [s]."""
+        """Return the desired joint velocity (nv,) [rad/s or m/s].
+
+        Args:
+            q: Configuration (nq,) or joint positions (nv,) [rad or m].
+            t: Time [s].
+        """
 
     def over_step(self, q: ArrayLike, t: float, dt: float) -> Vector:
         """Return the velocity for a step; by default the velocity at its beginning.
@@ -138,7 +143,11 @@ class JointAttractor(NullSpacePolicy):
         self.robot = robot
 
     def __call__(self, q: ArrayLike, t: float = 0.0) -> Vector:
-        """Return gain * (rest - q), shape (nv,) [rad/s or m/s]; the time t is not used.
+        """Return gain * (rest - q), shape (nv,) [rad/s or m/s].
+
+        Args:
+            q: Configuration (nq,) or joint positions (nv,) [rad or m].
+            t: Not used.
 
         Raises:
             TargetError: q and the rest posture have different sizes.
@@ -193,7 +202,11 @@ class JointLimitAvoidance(NullSpacePolicy):
         self.numbers = self._strength, self._middle, self._per_half, self._longest  # for the compiled law
 
     def __call__(self, q: ArrayLike, t: float = 0.0) -> Vector:
-        """Return the velocity towards the middle of the joint ranges (nv,) [rad/s or m/s]; the time t is not used.
+        """Return the velocity towards the middle of the joint ranges (nv,) [rad/s or m/s].
+
+        Args:
+            q: Configuration (nq,) or joint positions (nv,) [rad or m].
+            t: Not used.
 
         Raises:
             ConfigurationError: q has the wrong size or is not finite.
@@ -476,6 +489,11 @@ class WeightedPolicies(SampledPolicy):
     def __call__(self, q: ArrayLike, t: float = 0.0, dt: float = 0.01) -> Vector:
         """Return the weighted sum of the policies' velocities (nv,) [rad/s or m/s].
 
+        Args:
+            q: Configuration (nq,) or joint positions (nv,) [rad or m].
+            t: Time [s].
+            dt: Time for which the velocity is applied [s].
+
         Raises:
             ConfigurationError: q has the wrong size or is not finite.
             TargetError: The policies belong to different numbers of joints.
@@ -563,7 +581,11 @@ def as_policy(policy: NullSpacePolicy | Callable[..., ArrayLike]) -> NullSpacePo
     """Return a policy unchanged, or a function wrapped as a `PolicyFunction`.
 
     Args:
-        policy: A policy, or a function of a posture, or of a posture and a time [s].
+        policy: A policy; or a function f(q) or f(q, t) of the posture q and the time t [s] that returns a joint
+            velocity (nv,) [rad/s or m/s].
+
+    Raises:
+        ConfigurationError: The function takes other arguments.
     """
     return policy if isinstance(policy, NullSpacePolicy) else PolicyFunction(policy)
 

@@ -139,6 +139,7 @@ def audit_episodes(
         RecordingError: There are no demonstrations, they are of another robot, velocities cannot be derived, or
             `false_alarms` is not between 0 and 1.
         ManipLearnError: The workers of the client died.
+        ConfigurationError: Recordings without joint names have another number of columns than the robot has joints.
     """
     if not 0.0 < false_alarms < 1.0:
         raise RecordingError(f"false_alarms must be a probability between 0 and 1, got {false_alarms!r}", code="option")

@@ -206,6 +206,7 @@ class ConstraintLearner:
             RecordingError: The demonstrations cannot be used: velocities cannot be derived, a velocity is an outlier,
                 or the joints are of another robot.
             ManipLearnError: The workers of the client died.
+            ConfigurationError: Recordings without joint names have another number of columns than the robot has joints.
         """
         for name_of_result in _LEARNT:  # a fit that raises must not leave the result of other demonstrations behind
             vars(self).pop(name_of_result, None)

@@ -456,6 +456,9 @@ class SelfCollision:
         Args:
             q: Configuration (nq,) or joint positions (nv,) [rad or m].
             only: Indices of the pairs in `pairs`.
+
+        Raises:
+            ConfigurationError: q has the wrong size or is not finite.
         """
         _, geometry_data, far = self._place_shapes(q, bounded=False)
         return [self._distance(k, geometry_data, float(far[k]), np.inf)[1] for k in only]
@@ -465,6 +468,9 @@ class SelfCollision:
 
         Args:
             q: Configuration (nq,) or joint positions (nv,) [rad or m].
+
+        Raises:
+            ConfigurationError: q has the wrong size or is not finite.
         """
         data, geometry_data, far = self._place_shapes(q)
         best, pair, least = None, -1, np.inf

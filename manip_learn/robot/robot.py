@@ -422,6 +422,9 @@ class Robot:
         Args:
             q: Configuration (nq,) or joint positions (nv,) [rad or m].
 
+        Returns:
+            Configuration of `pinocchio_model`, shape (pinocchio_model.nq,).
+
         Raises:
             ConfigurationError: q has the wrong size or is not finite.
         """

@@ -387,6 +387,9 @@ class FrameJacobian(PoseRows):
 
         Returns:
             Phi (p, nv) and dPhi/dq (p, nv, nv).
+
+        Raises:
+            ConfigurationError: q has the wrong size or is not finite.
         """
         J, H = self.robot.jacobian_and_derivative(q, self.frame, self.reference)
         return J[self._rows], H[self._rows]
@@ -444,6 +447,9 @@ class FrameJacobian(PoseRows):
 
         Returns:
             Position (3,) [m] and rotation matrix (3, 3).
+
+        Raises:
+            ConfigurationError: q has the wrong size or is not finite.
         """
         return self._kinematics.placement(q)
 
@@ -456,6 +462,9 @@ class FrameJacobian(PoseRows):
 
         Returns:
             shape (6, nv) [m/s or rad/s per unit joint velocity].
+
+        Raises:
+            ConfigurationError: q has the wrong size or is not finite.
         """
         return self._kinematics.jacobian(q, "local" if own_axes else "world")
 
@@ -504,6 +513,9 @@ class RelativeFrameJacobian(PoseRows):
 
         Returns:
             Phi (p, nv) and dPhi/dq (p, nv, nv).
+
+        Raises:
+            ConfigurationError: q has the wrong size or is not finite.
         """
         Phi, dPhi = self.batch_with_derivative(self.robot.checked_posture(q)[None])
         return Phi[0], dPhi[0]
@@ -548,6 +560,9 @@ class RelativeFrameJacobian(PoseRows):
 
         Returns:
             shape (6, nv) [m/s or rad/s per unit joint velocity].
+
+        Raises:
+            ConfigurationError: q has the wrong size or is not finite.
         """
         both, robot = (self.frame, self.relative_to), self.robot
         return _relative_rows(*[(robot.pose(q, frame)[None], robot.jacobian(q, frame)[None]) for frame in both])[0][0]

@@ -561,10 +561,11 @@ class CurveRows(WeighedVelocity):
 
         Args:
             transform: Homogeneous matrix (4, 4) of R and t, in the base frame [m].
-            selection: Lambda (s, p).
+            selection: Lambda (s, p); it does not depend on the position of the curve.
 
         Returns:
-            The moved features (these features if they are relative to another frame), and Lambda unchanged.
+            The features with the moved curve, or these features if the curve is given in another frame
+            (`relative_to`); and `selection` unchanged.
         """
         is_fixed = self.relative_to is not None
         return self if is_fixed else self.changed(points=self.curve.moved(transform)), selection

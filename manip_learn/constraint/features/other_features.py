@@ -48,6 +48,9 @@ class CentreOfMass(FeatureMap):
 
         Returns:
             shape (p, nv) [m/s per unit joint velocity].
+
+        Raises:
+            ConfigurationError: q has the wrong size or is not finite.
         """
         return self.value_and_derivative(q)[0]
 
@@ -59,6 +62,9 @@ class CentreOfMass(FeatureMap):
 
         Returns:
             Phi (p, nv) and dPhi/dq (p, nv, nv).
+
+        Raises:
+            ConfigurationError: q has the wrong size or is not finite.
         """
         J, H = self.robot.centre_of_mass_jacobian_and_derivative(q)
         return J[self._rows], H[self._rows]
@@ -71,6 +77,9 @@ class CentreOfMass(FeatureMap):
 
         Returns:
             shape (p,), base frame [m].
+
+        Raises:
+            ConfigurationError: q has the wrong size or is not finite.
         """
         return self.robot.centre_of_mass(q)[self._rows]
 
@@ -82,9 +91,10 @@ class CustomFeatures(FeatureMap):
     They cannot be saved to a file.
 
     Args:
-        function: Function from q to Phi(q), shape (p, nv).
+        function: Function from q to Phi(q), shape (p, nv). It gets a configuration (nq,) of `robot`, or the vector that
+            the caller passed if there is no robot.
         row_names: One name per row.
-        nv: Number of velocities; None for that number of `robot`.
+        nv: Number of velocities; None for the number of `robot`.
         derivative: Function from q to dPhi/dq, shape (p, nv, nv). None: central differences are used (error about
             1e-10).
         coordinates: Function from q to the task coordinates r (p,), whose rate must be Phi(q) u. Only needed for
@@ -93,8 +103,8 @@ class CustomFeatures(FeatureMap):
         robot: The robot whose configuration q is. None: q is a plain vector of size nv.
 
     Raises:
-        FeatureError: Neither `nv` nor `robot` is given, or a function returns the wrong shape or values that are not
-            finite.
+        FeatureError: Neither `nv` nor `robot` is given, or there is no row name; at an evaluation: a function returns
+            the wrong shape or values that are not finite.
     """
 
     def __init__(
@@ -129,7 +139,8 @@ class CustomFeatures(FeatureMap):
             shape (p, nv).
 
         Raises:
-            FeatureError: Wrong shape or not finite.
+            FeatureError: The passed function returned the wrong shape or values that are not finite.
+            ConfigurationError: q has the wrong size for the robot or is not finite; not checked without a robot.
         """
         return self._checked(self._function(self._state(q)), (self.n_rows, self.nv), "Phi")
 
@@ -162,7 +173,8 @@ class CustomFeatures(FeatureMap):
             shape (p,), one coordinate per row.
 
         Raises:
-            FeatureError: The constructor got no such function, or the function returned the wrong shape.
+            FeatureError: The constructor got no such function, or the function returned the wrong shape or values that
+                are not finite.
         """
         if self._coordinates is None:
             return super().coordinates(q)

@@ -42,7 +42,7 @@ def force_mode(constraint: Constraint, q: ArrayLike) -> dict[str, Any]:
 
     Args:
         constraint: The task.
-        q: Posture.
+        q: Configuration (nq,) or joint positions (nv,) [rad or m].
 
     Returns:
         `task_frame`: position [m] and rotation vector [rad] in the base frame of the UR controller (the robot's frame
@@ -74,7 +74,7 @@ def urscript(constraint: Constraint, q: ArrayLike) -> str:
 
     Args:
         constraint: The task.
-        q: Posture.
+        q: Configuration (nq,) or joint positions (nv,) [rad or m].
 
     Raises:
         ConstraintError: The constraint has no task frame, or its task frame is relative to another moving frame.
@@ -116,7 +116,7 @@ def impedance(
 
     Args:
         constraint: The task.
-        q: Posture.
+        q: Configuration (nq,) or joint positions (nv,) [rad or m].
         stiff: Stiffness along free and unknown axes: linear [N/m] and rotational [N m/rad]. At 15 N, the force at which
             `ServoLoop` stops by default, 1,000 N/m yields by 15 mm; 50 N m/rad match 1,000 N/m at a lever of 0.22 m.
         compliant: Stiffness along held axes, linear [N/m] and rotational [N m/rad]; the default is a tenth of `stiff`.
@@ -158,7 +158,7 @@ def moveit_constraints(constraint: Constraint, q: ArrayLike) -> str:
 
     Args:
         constraint: The task.
-        q: Posture.
+        q: Configuration (nq,) or joint positions (nv,) [rad or m].
 
     Raises:
         ConstraintError: The constraint has no task frame, or its task frame is relative to another moving frame.

@@ -168,7 +168,7 @@ class FreeDirection(SinglePassTask):
         It is 0 if the hand is there, or if the position of the mechanism is not known.
 
         Args:
-            q: Posture.
+            q: Configuration (nq,) or joint positions (nv,) [rad or m].
         """
         return self._find_start(q)[2]
 
@@ -181,7 +181,7 @@ class FreeDirection(SinglePassTask):
         """Return the duration of the motion from a posture, if no limit slows it down [s].
 
         Args:
-            q: Posture.
+            q: Configuration (nq,) or joint positions (nv,) [rad or m].
         """
         far = self.hold(q)
         ramp = self._profile.ramp
@@ -273,7 +273,7 @@ class FreeDirection(SinglePassTask):
         It is 0 before the motion began, unless `start` was given.
 
         Args:
-            q: Posture.
+            q: Configuration (nq,) or joint positions (nv,) [rad or m].
         """
         return 0.0 if self.way_begins is None and self._start_time < math.inf else self.progress_near(q, self._place)
 
@@ -289,7 +289,7 @@ class FreeDirection(SinglePassTask):
         """Return the distance along the motion that a posture has reached, near an estimate [m or rad].
 
         Args:
-            q: Posture.
+            q: Configuration (nq,) or joint positions (nv,) [rad or m].
             near: Estimate [m or rad]; of all angles that differ by full turns, the nearest to it is returned.
         """
         return 0.0 if self._course is None else self._course.evaluate(q, near)[0]
@@ -298,7 +298,7 @@ class FreeDirection(SinglePassTask):
         """Return True if the whole distance is covered, to 1 mm or 0.2 degrees, and the planned duration has passed.
 
         Args:
-            q: Posture.
+            q: Configuration (nq,) or joint positions (nv,) [rad or m].
             t: Time [s].
         """
         is_late = self.way_begins is not None and t - self.way_begins >= self._profile.duration
@@ -308,7 +308,7 @@ class FreeDirection(SinglePassTask):
         """Return the deviation of the held rows from their values on the motion, as a norm [m or rad].
 
         Args:
-            q: Posture.
+            q: Configuration (nq,) or joint positions (nv,) [rad or m].
             progress: Distance along the motion at which the values are taken [m or rad].
         """
         return 0.0 if self._course is None else self._course.deviation(q, progress)
@@ -334,7 +334,7 @@ class FreeDirection(SinglePassTask):
 
         Args:
             constraint: Not used; the task's own constraint counts.
-            q: Posture.
+            q: Configuration (nq,) or joint positions (nv,) [rad or m].
             t: Time [s].
         """
         course, goal, rate = self._advance_clock(q, t)
@@ -372,7 +372,7 @@ class FreeDirection(SinglePassTask):
 
         Args:
             constraint: Not used; the task's own constraint counts.
-            q: Posture.
+            q: Configuration (nq,) or joint positions (nv,) [rad or m].
             t: Time [s].
         """
         course, _, _ = self._advance_clock(q, t)

@@ -604,12 +604,12 @@ def _check_limits(joints: Sequence[UrdfJoint], leaders: Mapping[str, str]) -> No
 
 
 def kinematic_urdf(urdf: UrdfFile, visuals: Mapping[str, Sequence[str]] | None = None) -> str:
-    """Return the text of a URDF with the kinematics of a description.
+    """Return a robot description as URDF text: joints, limits and inertias.
 
     Args:
         urdf: A validated description.
-        visuals: Mapping from a link to its `<visual>` elements, which are inserted; `<mimic>` elements are then written
-            too. None for Pinocchio, which needs no visuals and for which mimic joints are ordinary joints.
+        visuals: Link name -> texts of its `<visual>` elements; `<mimic>` elements are then written too. None: neither
+            is written, so that Pinocchio loads mimic joints as independent joints.
     """
     parts = [f"<robot name={quoteattr(urdf.name)}>"]
     for link in urdf.links:
