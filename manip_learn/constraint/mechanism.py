@@ -387,10 +387,9 @@ class Mechanism:
 
         Args:
             pose: Grasp pose (4, 4) of the hand, in the frame of axis and point [m].
-            within: Largest allowed deviation of the hand [m]: from the curve, from the plane, or from the `radius` about
-                the axis or the centre. Not checked for a line, for a plane without a point, or about an axis or a
-                centre if the orientation is `"carried"` or the radius is not known: the hand may then hold the fixture
-                anywhere.
+            within: Largest allowed deviation of the hand [m]: from the curve, the plane, or the `radius` about the axis
+                or the centre. Not checked for a line, for a plane without a point, or about an axis or a centre if the
+                orientation is `"carried"` or the radius is not known: the hand may then hold the fixture anywhere.
 
         Returns:
             A `Chart`, which converts coordinates to poses of the hand and back.

@@ -60,7 +60,7 @@ def approach_bound(smallest: float, slope: Vector, acceleration: Vector, dt: flo
 
     Args:
         smallest: Smallest singular value sigma of A, in the constraint's units (m or 1).
-        slope: Gradient of sigma with respect to the joint positions (nv,).
+        slope: Gradient of sigma with respect to the joint positions (nv,) [unit of sigma per rad or m].
         acceleration: Acceleration limits (nv,) [rad/s2 or m/s2].
         dt: Step [s].
 

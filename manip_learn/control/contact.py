@@ -193,7 +193,7 @@ class FollowingError:
         """Record a step of the commanded posture.
 
         Args:
-            q: Commanded posture before the step.
+            q: Commanded configuration (nq,) or joint positions (nv,) before the step [rad or m].
             time: Duration of the step [s]; negative if a call came early and takes back a part of the previous step.
             velocity: Commanded velocity (nv,) [rad/s or m/s].
         """
@@ -237,7 +237,7 @@ class FollowingError:
         """Return the force on the hand that remains at a measured posture, without the part due to friction [N].
 
         Args:
-            q: Measured posture.
+            q: Measured configuration (nq,) or joint positions (nv,) [rad or m].
         """
         friction = self.servos.friction
         off = signed_excess(self.distance - self.load, -friction, friction)
@@ -248,7 +248,7 @@ class FollowingError:
 
         Args:
             off: Distances of the joints from the commanded posture (nv,) [rad or m].
-            q: Measured posture.
+            q: Measured configuration (nq,) or joint positions (nv,) [rad or m].
 
         Returns:
             Sentence that suggests to declare a payload, if the weight is larger than the 2 kg that need no setting;
@@ -274,7 +274,7 @@ class FollowingError:
 
         Args:
             constraint: Constraint of the controller; None if there is none.
-            q: Measured posture.
+            q: Measured configuration (nq,) or joint positions (nv,) [rad or m].
         """
         j = int(np.abs(self.distance).argmax())
         unit = self._robot.joint_units[j]
@@ -297,8 +297,8 @@ class FollowingError:
         """Compare the newest commanded and measured postures; update `distance`, `force` and `tripped`.
 
         Args:
-            commanded: Commanded posture.
-            measured: Measured posture.
+            commanded: Commanded configuration (nq,) or joint positions (nv,) [rad or m].
+            measured: Measured configuration (nq,) or joint positions (nv,) [rad or m].
             driven: Function of a posture that returns the joint motions which the task drives (k, nv), see
                 `LimitedController.driven_motions`; None if it drives none.
         """

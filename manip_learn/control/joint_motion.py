@@ -96,7 +96,7 @@ class FollowMotion(LimitedController):
         """Return the motions of the joints that are driven: all.
 
         Args:
-            q: Posture; not used.
+            q: Not used.
 
         Returns:
             The identity (nv, nv).
@@ -130,11 +130,14 @@ class FollowMotion(LimitedController):
         """Return the command for the next step.
 
         Args:
-            q: Commanded posture.
+            q: Commanded configuration (nq,) or joint positions (nv,) [rad or m].
             t: Time [s].
-            dt: Length of the step [s]; required.
+            dt: Length of the step [s]; required, None raises.
             previous: Velocity commanded in the previous step (nv,) [rad/s or m/s]; None for no acceleration limit.
             slide: Not used.
+
+        Returns:
+            The command, without a task: its `task_part` is the whole velocity.
 
         Raises:
             ConfigurationError: dt is missing.

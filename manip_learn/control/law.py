@@ -388,7 +388,7 @@ class Law:
         """Return the command at a posture; errors as for `ResolvedRateController`.
 
         Args:
-            q: Posture, already checked.
+            q: Configuration (nq,) or joint positions (nv,) as a float64 array [rad or m]; not checked.
             t: Time [s].
             dt: Step [s].
             limits: Limits; None for the command without any limits.
@@ -512,6 +512,9 @@ def nearest_within(wish: Vector, W: Float[np.ndarray, "s nv"], bounds: Bounds, b
         W: Weights (s, nv) of the deviation u - wish; s may be 0.
         bounds: Bounds on u.
         barrier: Rows G u >= least; None for none.
+
+    Returns:
+        shape (nv,) [rad/s or m/s].
     """
     nv = len(wish)
     one, zeros, _ = _constants(nv, nv)

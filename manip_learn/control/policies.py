@@ -53,7 +53,7 @@ class NullSpacePolicy(ABC):
         """Return the velocity for a step; by default the velocity at its beginning.
 
         Args:
-            q: Posture at the beginning of the step.
+            q: Configuration (nq,) or joint positions (nv,) at the beginning of the step [rad or m].
             t: Time at which the step begins [s].
             dt: Length of the step, for which the velocity is applied [s].
 
@@ -68,13 +68,19 @@ class SampledPolicy(NullSpacePolicy):
 
     @abstractmethod
     def __call__(self, q: ArrayLike, t: float = 0.0, dt: float = 0.01) -> Vector:
-        """Return the desired joint velocity (nv,) [rad/s or m/s] at posture q and time t [s], for a step of dt [s]."""
+        """Return the desired joint velocity for a step, shape (nv,) [rad/s or m/s].
+
+        Args:
+            q: Configuration (nq,) or joint positions (nv,) [rad or m].
+            t: Time at which the step begins [s].
+            dt: Length of the step [s].
+        """
 
     def over_step(self, q: ArrayLike, t: float, dt: float) -> Vector:
         """Return the velocity for a step.
 
         Args:
-            q: Posture at the beginning of the step.
+            q: Configuration (nq,) or joint positions (nv,) at the beginning of the step [rad or m].
             t: Time at which the step begins [s].
             dt: Length of the step, for which the velocity is applied [s].
 
@@ -337,7 +343,7 @@ class ManipulabilityAscent(_Ascent):
         """Return the ascent velocity (nv,) [rad/s or m/s], finite everywhere.
 
         Args:
-            q: Posture: a configuration or joint positions.
+            q: Configuration (nq,) or joint positions (nv,) [rad or m].
             t: Time [s]; not used.
             dt: Time for which the velocity is applied [s].
 
@@ -446,6 +452,11 @@ class KeptOrientation(SampledPolicy):
     def __call__(self, q: ArrayLike, t: float = 0.0, dt: float = 0.01) -> Vector:
         """Return the velocity of the policy plus the pull towards the demonstrated orientation (nv,) [rad/s or m/s].
 
+        Args:
+            q: Configuration (nq,) or joint positions (nv,) [rad or m].
+            t: Time [s].
+            dt: Time for which the velocity is applied [s].
+
         Raises:
             ConfigurationError: q has the wrong size or is not finite.
         """
@@ -546,8 +557,8 @@ class PolicyFunction(NullSpacePolicy):
     """Null-space policy that calls a function of yours.
 
     Args:
-        function: Function of a posture, or of a posture and a time [s], that returns a joint velocity (nv,) [rad/s or
-            m/s].
+        function: Function of a posture q as the caller passes it, (nq,) or (nv,) [rad or m], or of q and a time [s],
+            that returns a joint velocity (nv,) [rad/s or m/s].
 
     Raises:
         ConfigurationError: The function takes other arguments.
@@ -566,7 +577,15 @@ class PolicyFunction(NullSpacePolicy):
         self._timed = 2 in fits and (1 not in fits or "t" in takes.parameters)
 
     def __call__(self, q: ArrayLike, t: float = 0.0) -> Vector:
-        """Return the velocity that the function returns, as an array (nv,) [rad/s or m/s]."""
+        """Return the velocity that the function returns, as an array (nv,) [rad/s or m/s].
+
+        Args:
+            q: Configuration (nq,) or joint positions (nv,) [rad or m].
+            t: Time [s]; not passed to a function of q alone.
+
+        Raises:
+            TargetError: The function does not return numbers.
+        """
         answer = self.function(q, t) if self._timed else self.function(q)
         try:
             return np.asarray(answer, dtype=np.float64)

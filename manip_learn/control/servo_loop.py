@@ -545,8 +545,8 @@ class ServoLoop:
         limits, while the commanded velocity is zero and the status stays `Status.FOLLOWING_ERROR`.
 
         Args:
-            q: Commanded posture to start from, at which the servos hold the arm; None takes the next measured posture,
-                which contains encoder noise.
+            q: Commanded configuration (nq,) or joint positions (nv,) to start from, at which the servos hold the arm
+                [rad or m]; None takes the next measured posture, which contains encoder noise.
 
         Raises:
             ConfigurationError: q has the wrong size or is not finite.
@@ -661,7 +661,7 @@ class ServoLoop:
         """Return the command of the next period. Never raises.
 
         Args:
-            q: Measured posture: a configuration or joint positions.
+            q: Measured configuration (nq,) or joint positions (nv,) [rad or m].
             t: Time at which it was measured [s].
 
         Returns:
@@ -676,8 +676,11 @@ class ServoLoop:
         """Return the command of the next period as `update` does, but raise errors of controller, task and policy.
 
         Args:
-            q: Measured posture: a configuration or joint positions.
+            q: Measured configuration (nq,) or joint positions (nv,) [rad or m].
             t: Time at which it was measured [s].
+
+        Returns:
+            The command, as from `update`.
 
         Raises:
             ManipLearnError: An error of the controller.

@@ -161,7 +161,7 @@ def recombination_test(
         pieces: Recorded motions during contact, with velocities.
         seed: Seed of the random exchanges.
         choices: Number of hypotheses among which the tested one was selected (Bonferroni correction).
-        believed: Smallest lower bound of a strength with which a row is accepted.
+        believed: Smallest 99 % lower confidence bound of a strength with which a row is accepted.
 
     Returns:
         Evidence for each row, most firmly constrained first.

@@ -147,7 +147,7 @@ class FeatureMap(ABC):
             q: Joint configuration (nq,) or positions (nv,) [rad or m].
 
         Returns:
-            shape (p,), one coordinate per row.
+            shape (p,), one coordinate per row; its rate is in the unit of the row (`row_units`).
 
         Raises:
             FeatureError: The rows are not the rates of known coordinates.

@@ -386,7 +386,8 @@ class FrameJacobian(PoseRows):
             q: Joint configuration (nq,) or positions (nv,) [rad or m].
 
         Returns:
-            Phi (p, nv) and dPhi/dq (p, nv, nv).
+            Phi (p, nv), in the units of `row_units` per unit of joint velocity, and dPhi/dq (p, nv, nv) with the
+            entry [i, j, k] = d Phi_ij / d q_k.
 
         Raises:
             ConfigurationError: q has the wrong size or is not finite.
@@ -512,7 +513,8 @@ class RelativeFrameJacobian(PoseRows):
             q: Joint configuration (nq,) or positions (nv,) [rad or m].
 
         Returns:
-            Phi (p, nv) and dPhi/dq (p, nv, nv).
+            Phi (p, nv), in the units of `row_units` per unit of joint velocity, and dPhi/dq (p, nv, nv) with the
+            entry [i, j, k] = d Phi_ij / d q_k.
 
         Raises:
             ConfigurationError: q has the wrong size or is not finite.

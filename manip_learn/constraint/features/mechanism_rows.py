@@ -92,6 +92,9 @@ class WeighedVelocity(FeatureMap):
         Args:
             q: Joint configuration (nq,) or positions (nv,) [rad or m].
 
+        Returns:
+            shape (p, nv), in the units of `row_units` per unit of joint velocity.
+
         Raises:
             ConfigurationError: q has the wrong size or is not finite.
         """
@@ -104,7 +107,11 @@ class WeighedVelocity(FeatureMap):
             q: Joint configuration (nq,) or positions (nv,) [rad or m].
 
         Returns:
-            Phi (p, nv) and dPhi/dq (p, nv, nv).
+            Phi (p, nv), in the units of `row_units` per unit of joint velocity, and dPhi/dq (p, nv, nv) with the
+            entry [i, j, k] = d Phi_ij / d q_k.
+
+        Raises:
+            ConfigurationError: q has the wrong size or is not finite.
         """
         W, dW = (x[0] for x in self.place_weights.at(self.twist.placement(q)[0][None]))
         return _product(W, dW, *self.twist.value_and_derivative(q))

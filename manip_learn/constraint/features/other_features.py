@@ -61,7 +61,8 @@ class CentreOfMass(FeatureMap):
             q: Joint configuration (nq,) or positions (nv,) [rad or m].
 
         Returns:
-            Phi (p, nv) and dPhi/dq (p, nv, nv).
+            Phi (p, nv), in the units of `row_units` per unit of joint velocity, and dPhi/dq (p, nv, nv) with the
+            entry [i, j, k] = d Phi_ij / d q_k.
 
         Raises:
             ConfigurationError: q has the wrong size or is not finite.
@@ -136,7 +137,7 @@ class CustomFeatures(FeatureMap):
             q: State (nv,), or a configuration of the robot.
 
         Returns:
-            shape (p, nv).
+            shape (p, nv), in the units of `row_units` per unit of velocity.
 
         Raises:
             FeatureError: The passed function returned the wrong shape or values that are not finite.
@@ -229,7 +230,7 @@ class Stacked(FeatureMap):
             q: Joint configuration (nq,) or positions (nv,) [rad or m].
 
         Returns:
-            shape (p, nv), p summed over the parts.
+            shape (p, nv), p summed over the parts, in the units of `row_units` per unit of joint velocity.
         """
         return np.concatenate([part(q) for part in self.parts])
 

@@ -62,7 +62,8 @@ class FreeDirection(SinglePassTask):
             joint the axis of the rotation in the base frame.
         gain: Rate at which deviations are corrected [1/s].
         ramp: Time from rest to `speed` [s].
-        start: Posture at which the motion starts; None for the posture of the first call.
+        start: Configuration (nq,) or joint positions (nv,) at which the motion starts [rad or m]; None for the posture
+            of the first call.
         unit: `"m"` for a translation or `"rad"` for a rotation, if the constraint leaves both free; None for any.
         straight: True to hold the other free translations, too, so that the hand's position moves along the motion
             only; False leaves them to the null-space policy.
@@ -194,7 +195,7 @@ class FreeDirection(SinglePassTask):
         """Return a table of the planned motion from the grasp to its end, at evenly spaced times.
 
         Args:
-            start: Posture before the motion.
+            start: Configuration (nq,) or joint positions (nv,) before the motion [rad or m].
             period: Time between two entries [s]; it is adapted so that the number of entries is in range.
             fewest: Smallest number of entries.
             most: Largest number of entries.
@@ -456,28 +457,30 @@ def motion(
         constraint: Constraint, learnt or written by hand; pass the same one to the controller.
         distance: Distance [m], for a line, a plane, or another mechanism that slides; positive in the demonstrated
             sense, negative for the opposite. If the demonstrations have no common sense, the positive sense along a
-            line is the one in which the largest component of its direction is positive.
+            line is the one in which the largest component of its direction is positive. None: the demonstrated
+            distance, or `angle`.
         angle: Angle [rad], for a hinge, a screw or a ball joint; positive in the demonstrated sense, or right-handed
-            about the axis if the demonstrations have no common sense.
+            about the axis if the demonstrations have no common sense. None: the demonstrated angle, or `distance`.
         direction: Direction of the motion, needed if several are free: on a plane three numbers, or one per row of the
             features; for a ball joint the axis of the rotation in the base frame; for a cylinder the name of a row
             (`"tangential"`, `"axial"`). `"shown"` is the demonstrated sense and `"back"` the opposite one; the selected
-            sense then counts as positive.
+            sense then counts as positive. None for the only free direction, or for a motion as demonstrated.
         speed: Largest speed [m/s or rad/s]; by default the demonstrated speed if the motion reproduces the
             demonstrations, otherwise 0.1 m/s at the hand.
         keep_orientation: True to keep the orientation of the hand, too, e.g. because a gripper has closed on a handle.
         pause: Time at rest on the mechanism before the motion begins, e.g. to close a gripper [s]; meanwhile the
             null-space policy moves the arm to a better posture.
         beyond_shown: True to allow distances longer than the demonstrated range.
-        along: Former name of `distance`, valid until 0.4.
-        turn: Former name of `angle`, valid until 0.4.
+        along: Former name of `distance`, valid until 0.4. None if it is not used.
+        turn: Former name of `angle`, valid until 0.4. None if it is not used.
 
     Returns:
         A `FreeDirection`; a `PointAttractor` if the demonstrator moved the rows on purpose to a target.
 
     Raises:
-        TargetError: Both `distance` and `angle` are given; neither is given, and the constraint has no demonstrated
-            motion; a number is invalid, or exceeds the demonstrated range; the direction is held.
+        TargetError: `constraint` is no `Constraint`; both `distance` and `angle` are given; neither is given, and the
+            constraint has no demonstrated motion; a number is invalid, or exceeds the demonstrated range; the direction
+            is held.
         ConstraintError: The mechanism does not slide or does not turn; no direction is free, or several are and none
             was selected (the message lists them); the demonstrated sense is needed and not known.
 
@@ -561,8 +564,8 @@ def motion_to(
     Args:
         constraint: Constraint with the rows of a mechanism.
         point: Point in the base frame, shape (3,) [m].
-        q: Posture at the start, with the hand on the mechanism.
-        speed: Largest speed, see `motion` [rad/s].
+        q: Configuration (nq,) or joint positions (nv,) at the start, with the hand on the mechanism [rad or m].
+        speed: Largest speed [rad/s]; None for the default of `motion`.
         keep_orientation: True to keep the orientation of the hand, too.
 
     Raises:
@@ -601,8 +604,10 @@ def null_policy(
         task: Task of the controller.
         constraint: Learnt constraint.
         robot: The robot.
-        gain: Gain of the policy; None for its default.
-        rest: Rest posture of the attractor; None for the neutral posture.
+        gain: Gain of the policy, in the units of its class (`ManipulabilityAscent` or `JointAttractor`); None for its
+            default.
+        rest: Rest posture of the attractor, a configuration (nq,) or joint positions (nv,) [rad or m]; None for
+            `Robot.neutral`.
 
     Raises:
         ManipLearnError: Unknown name.

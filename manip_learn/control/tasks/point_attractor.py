@@ -297,7 +297,7 @@ class PointAttractor(Task):
         return way, None if E is None else rows.dot(E)
 
     def goal(self) -> Float[np.ndarray, "..."] | None:
-        """Return the target as an array."""
+        """Return the target as an array of the shape that was passed: (p,), (s,) or (4, 4)."""
         return self.target
 
     def error_jacobian(self, constraint: Constraint, q: np.ndarray, t: float) -> Float[np.ndarray, "s nv"] | None:

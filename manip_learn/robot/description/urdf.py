@@ -169,7 +169,7 @@ def motion_along(kind: str, axis: Vector, position: float) -> Matrix4:
 
     Args:
         kind: Type of the joint: `"prismatic"`, or another type for a rotation.
-        axis: Unit vector.
+        axis: Unit vector (3,) in the frame of the joint.
         position: Joint position [rad or m].
     """
     T, step = np.eye(4), position * np.array(axis)
@@ -393,8 +393,11 @@ def unit_axis(xyz: tuple[float, ...], axis: XmlNode) -> Vector:
     """Normalise the axis of a joint to unit length.
 
     Args:
-        xyz: The axis as in the file.
+        xyz: Axis (3,) as in the file.
         axis: Its XML element, for warnings and errors.
+
+    Returns:
+        Unit vector (3,).
 
     Raises:
         RobotError: The axis cannot be normalised; codes `axis-zero`, `axis-norm`.
