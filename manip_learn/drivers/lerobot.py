@@ -34,6 +34,9 @@ class LeRobotMotor:
         span: Joint motion over the whole range of the motor's readings, -100 .. 100 or 0 .. 100 [rad or m]. None for
             the range of the arm's calibration, or of the joint's limits if there is no calibration. Not used for a
             motor that reads degrees.
+
+    Raises:
+        ConfigurationError: The sign is not 1 or -1, the zero is not finite, or the span is not positive and finite.
     """
 
     joint: str

@@ -101,6 +101,7 @@ class ConstraintLearner:
     Raises:
         FeatureError: There are no features, an object is no feature map, or an argument is out of range.
         NotFittedError: An attribute with a trailing underscore is read before `fit`.
+        TypeError: An unknown argument.
 
     Example:
         >>> import numpy as np

@@ -38,6 +38,9 @@ class Thing:
         pose: Pose (4, 4) of the obstacle's own frame in the robot's base frame [m].
         shape: Shape in the obstacle's own frame [m].
         span: Largest dimension; for a mesh the longest side of its bounding box [m].
+
+    Raises:
+        SceneError: An argument is not valid, see `Box`.
     """
 
     name: str
