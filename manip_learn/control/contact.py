@@ -58,7 +58,8 @@ class Contact:
         resolution: Force that cannot be distinguished from friction, backlash and noise [N]; "auto" measures it. The
             arm is stopped at no smaller force.
         stiffness: Stiffness of the arm's position servos, shape (nv,) or a number [N m/rad or N/m]. None if it is not
-            known: 2,000 is then assumed, so that the limits are in effect position errors, and a warning reports that.
+            known: 2,000 is then assumed, so that the limits are in effect position errors, and `ServoLoop.notes`
+            reports that.
         **renamed: Former names of arguments, valid until 0.4: `held`, `driven`.
 
     Raises:

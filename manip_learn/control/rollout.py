@@ -141,7 +141,8 @@ class Rollout:
     def to_frame(self) -> PandasFrame:
         """Return a pandas data frame with one row per sample.
 
-        Its columns are `time`, joint positions and velocities by name, `mu`, `task_error` and `status`.
+        Its columns are `time` [s], `<joint>` [rad or m] and `<joint>_velocity` [rad/s or m/s] for each joint, `mu`,
+        `task_error` [m or rad] and `status`.
 
         Raises:
             RecordingError: Postures that are not joint positions (nq differs from nv) have no column names.
