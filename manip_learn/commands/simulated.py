@@ -17,7 +17,8 @@ def start_posture(robot: ml.Robot, constraint: ml.Constraint, start: str | None,
     Args:
         robot: The robot.
         constraint: Constraint with the demonstrated postures.
-        start: Posture as the user typed it; None for the first demonstrated one.
+        start: Posture as the user typed it, numbers with commas or spaces between them; None for the first demonstrated
+            one.
         moves: False to use the neutral posture instead of the demonstrated one.
 
     Returns:

@@ -489,7 +489,7 @@ def format_vector(vector: np.ndarray | None, names: Sequence[str] = ()) -> str:
     """Return a vector as text with two decimals, or `"unknown"` for None.
 
     Args:
-        vector: A direction, a position, or a combination of rows; None if unknown.
+        vector: A direction, a position, or a combination of rows, shape (n,); None if unknown.
         names: Names of its entries: a vector with a single significant entry is printed as the name of that entry.
             Default: the vector is always printed as numbers.
 

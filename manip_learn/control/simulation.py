@@ -238,7 +238,7 @@ def simulate_way(
     Args:
         robot: The robot.
         controller: Controller with the `FreeDirection` as its task.
-        q0: Start posture.
+        q0: Start posture: a configuration (nq,) or joint positions (nv,) [rad or m].
         dt: Step [s].
         duration: Simulated time [s]; None for as long as the motion needs.
         progress: Function that is called with a title and the completed fraction, 0 to 1; None for none.

@@ -137,7 +137,7 @@ class Motion:
 
     @cached_property
     def levels(self) -> Levels:
-        """RMS displacement along each direction, as `Levels`."""
+        """RMS displacement along each direction of the whitened feature rows, as `Levels`."""
         y, x = self.y, self.x if self.way is None else self.way
         if self.way is None:
             y, x = (np.concatenate([z[p] - z[p].mean(axis=0) for p in self.parts]) for z in (y, x))

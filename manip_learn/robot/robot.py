@@ -229,7 +229,7 @@ class Robot:
             q: Configuration (nq,) or joint positions (nv,) [rad or m].
 
         Returns:
-            The same vector, as a float64 array.
+            The same vector, (nq,) or (nv,), as a float64 array.
 
         Raises:
             ConfigurationError: q has the wrong size, NaN, infinity, or a (cos, sin) or quaternion of length zero.
@@ -416,7 +416,7 @@ class Robot:
             v: Joint velocities (nv,) [rad/s or m/s].
 
         Returns:
-            The same velocities, as a float64 array.
+            The same velocities (nv,), as a float64 array.
 
         Raises:
             ConfigurationError: v has the wrong size or is not finite.

@@ -484,11 +484,12 @@ def motion(
         ConstraintError: The mechanism does not slide or does not turn; no direction is free, or several are and none
             was selected (the message lists them); the demonstrated sense is needed and not known.
 
-    >>> import manip_learn as ml
-    >>> robot = ml.load_robot("sawyer")
-    >>> drawer = ml.Constraint([[0, 1, 0], [0, 0, 1]], ml.FrameJacobian(robot, "right_gripper_tip"))
-    >>> ml.motion(drawer, distance=0.3)
-    FreeDirection(distance=0.3 m, speed=0.1 m/s)
+    Example:
+        >>> import manip_learn as ml
+        >>> robot = ml.load_robot("sawyer")
+        >>> drawer = ml.Constraint([[0, 1, 0], [0, 0, 1]], ml.FrameJacobian(robot, "right_gripper_tip"))
+        >>> ml.motion(drawer, distance=0.3)
+        FreeDirection(distance=0.3 m, speed=0.1 m/s)
     """
     if not isinstance(constraint, Constraint):
         raise TargetError(f"call motion(constraint, distance=... | angle=...): got {an(constraint)} in its place")
