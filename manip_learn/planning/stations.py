@@ -316,7 +316,8 @@ def margin_of(motion: FreeDirection, rollout: Rollout, begins: float | None, rob
         robot: Robot whose limits apply.
 
     Returns:
-        Smallest share of the limits that remains, at most 1, see `Margins`; None if the hand did not reach the mechanism, or the rows have no frame.
+        Smallest share of the limits that remains, at most 1, see `Margins`; None if the hand did not reach the
+        mechanism, or the rows have no frame.
     """
     if begins is None:
         return None
