@@ -162,6 +162,10 @@ class ResolvedRateController(LimitedController):
         Args:
             q: Configuration (nq,) or joint positions (nv,) [rad or m].
             t: Time [s].
+
+        Raises:
+            ConfigurationError: q has the wrong size or is not finite.
+            TargetError: The task's target does not fit the constraint.
         """
         return self.task.error(self.constraint, np.asarray(q, dtype=np.float64), t)
 
@@ -173,6 +177,9 @@ class ResolvedRateController(LimitedController):
         Args:
             task: The new task.
             constraint: The new constraint.
+
+        Raises:
+            ConstraintError: The task moves along another constraint.
         """
         rows, policy = task.rows(constraint), self.null_policy
         for before, after in ((self.constraint, rows), (self.learnt, constraint)):

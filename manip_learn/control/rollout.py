@@ -192,6 +192,9 @@ class Rollout:
 
         Returns:
             shape (T,).
+
+        Raises:
+            ConfigurationError: The constraint is of a robot with another number of joints.
         """
         A = np.array([constraint(q) for q in self.q])
         A[:-1] = 0.5 * (A[:-1] + A[1:])
@@ -202,6 +205,9 @@ class Rollout:
 
         Args:
             constraint: The constraint.
+
+        Raises:
+            ConfigurationError: The constraint is of a robot with another number of joints.
         """
         return np.array([manipulability(constraint, q) for q in self.q])
 

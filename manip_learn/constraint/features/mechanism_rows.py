@@ -246,6 +246,9 @@ class MechanismRows(WeighedVelocity):
 
         Returns:
             The new features.
+
+        Raises:
+            FeatureError: A row name is unknown or occurs twice.
         """
         return self.changed(rows=rows, radius=radius)
 
@@ -299,6 +302,7 @@ class MechanismRows(WeighedVelocity):
 
         Raises:
             FeatureError: The features have other rows, which are not rates of coordinates.
+            ConfigurationError: q has the wrong size or is not finite.
         """
         d = self.twist.placement(q)[0] - self.geometry.point
         z = float(d @ self.geometry.axis)
@@ -316,6 +320,9 @@ class MechanismRows(WeighedVelocity):
         Returns:
             shape (p, nv). None if the derivative is Phi(q), because the features have no radius or no row that depends
             on the distance.
+
+        Raises:
+            ConfigurationError: q has the wrong size or is not finite.
         """
         if self.radius is None or not set(self.row_names) & set(DISTANCE_ROWS):
             return None
@@ -521,6 +528,9 @@ class CurveRows(WeighedVelocity):
 
         Returns:
             The new features.
+
+        Raises:
+            FeatureError: A row name is unknown or occurs twice.
         """
         return self.changed(points=self.curve, rows=rows)
 
@@ -555,6 +565,7 @@ class CurveRows(WeighedVelocity):
 
         Raises:
             FeatureError: The features have angular rows, which are not rates of coordinates.
+            ConfigurationError: q has the wrong size or is not finite.
         """
         if set(self.row_names) & set(AXES):
             return super().coordinates(q)

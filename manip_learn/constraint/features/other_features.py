@@ -156,6 +156,7 @@ class CustomFeatures(FeatureMap):
 
         Raises:
             FeatureError: The passed function returned the wrong shape or values that are not finite.
+            ConfigurationError: q has the wrong size for the robot or is not finite; not checked without a robot.
         """
         state = self._state(q)
         if self._derivative is not None:
@@ -176,6 +177,7 @@ class CustomFeatures(FeatureMap):
         Raises:
             FeatureError: The constructor got no such function, or the function returned the wrong shape or values that
                 are not finite.
+            ConfigurationError: q has the wrong size for the robot or is not finite; not checked without a robot.
         """
         if self._coordinates is None:
             return super().coordinates(q)
@@ -231,6 +233,9 @@ class Stacked(FeatureMap):
 
         Returns:
             shape (p, nv), p summed over the parts, in the units of `row_units` per unit of joint velocity.
+
+        Raises:
+            ConfigurationError: q has the wrong size for the robot or is not finite.
         """
         return np.concatenate([part(q) for part in self.parts])
 
@@ -242,6 +247,9 @@ class Stacked(FeatureMap):
 
         Returns:
             shape (p, nv, nv), with the rows of the parts in order.
+
+        Raises:
+            ConfigurationError: q has the wrong size for the robot or is not finite.
         """
         return np.concatenate([part.derivative(q) for part in self.parts])
 
@@ -253,6 +261,9 @@ class Stacked(FeatureMap):
 
         Returns:
             shape (n, p, nv).
+
+        Raises:
+            ConfigurationError: q has the wrong size for the robot or is not finite.
         """
         return np.concatenate([part.batch(q) for part in self.parts], axis=1)
 
@@ -264,6 +275,10 @@ class Stacked(FeatureMap):
 
         Returns:
             shape (p,), one coordinate per row, in the units of the parts.
+
+        Raises:
+            FeatureError: A part has no coordinates.
+            ConfigurationError: q has the wrong size for the robot or is not finite.
         """
         return np.concatenate([part.coordinates(q) for part in self.parts])
 
@@ -287,6 +302,10 @@ class Stacked(FeatureMap):
 
         Returns:
             e (p,) and E (p, nv); None instead of E if it is Phi(q) for all parts.
+
+        Raises:
+            TargetError: The target has the wrong size or is not finite.
+            FeatureError: A part has no coordinates.
         """
         goals = np.split(self._goal(target), np.cumsum([part.n_rows for part in self.parts])[:-1])
         both = [part.error_and_jacobian(goal, q) for part, goal in zip(self.parts, goals, strict=True)]
@@ -299,7 +318,11 @@ class Stacked(FeatureMap):
         return np.concatenate([p(q) if b is None else b for p, b in zip(self.parts, blocks, strict=True)])
 
     def describe(self) -> dict[str, Any]:
-        """Return a dictionary of JSON values that describes the parts, as in a constraint file."""
+        """Return a dictionary of JSON values that describes the parts, as in a constraint file.
+
+        Raises:
+            FeatureError: A part is made of Python functions, which cannot be saved.
+        """
         return {"kind": self.kind, "parts": [part.describe() for part in self.parts]}
 
     def __repr__(self) -> str:

@@ -53,6 +53,7 @@ def force_mode(constraint: Constraint, q: ArrayLike) -> dict[str, Any]:
 
     Raises:
         ConstraintError: The constraint has no task frame, or its task frame is relative to another moving frame.
+        ConfigurationError: q has the wrong size or is not finite.
     """
     frame, robot = _frame_and_robot(constraint, q, "force_mode takes")
     selection = [int(is_held) for is_held in frame.along("held")]
@@ -78,6 +79,7 @@ def urscript(constraint: Constraint, q: ArrayLike) -> str:
 
     Raises:
         ConstraintError: The constraint has no task frame, or its task frame is relative to another moving frame.
+        ConfigurationError: q has the wrong size or is not finite.
     """
     arguments, (frame, robot) = force_mode(constraint, q), _frame_and_robot(constraint, q)
     tcp = np.linalg.inv(robot.pose(q, "tool0")) @ frame.hand if "tool0" in robot.frame_names else None
@@ -131,6 +133,7 @@ def impedance(
 
     Raises:
         ConstraintError: The constraint has no task frame.
+        ConfigurationError: q has the wrong size or is not finite.
     """
     frame, robot = _frame_and_robot(constraint, q)
     values = np.where(frame.along("held"), np.repeat(compliant, 3), np.repeat(stiff, 3))
@@ -162,6 +165,7 @@ def moveit_constraints(constraint: Constraint, q: ArrayLike) -> str:
 
     Raises:
         ConstraintError: The constraint has no task frame, or its task frame is relative to another moving frame.
+        ConfigurationError: q has the wrong size or is not finite.
     """
     frame, robot = _frame_and_robot(constraint, q, "path constraints are in")
     of_link = np.linalg.inv(frame.hand)

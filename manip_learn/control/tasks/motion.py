@@ -170,6 +170,10 @@ class FreeDirection(SinglePassTask):
 
         Args:
             q: Configuration (nq,) or joint positions (nv,) [rad or m].
+
+        Raises:
+            ConfigurationError: q has the wrong size or is not finite.
+            FeatureError: The features have no coordinates.
         """
         return self._find_start(q)[2]
 
@@ -183,6 +187,10 @@ class FreeDirection(SinglePassTask):
 
         Args:
             q: Configuration (nq,) or joint positions (nv,) [rad or m].
+
+        Raises:
+            ConfigurationError: q has the wrong size or is not finite.
+            FeatureError: The features have no coordinates.
         """
         far = self.hold(q)
         ramp = self._profile.ramp
@@ -243,6 +251,9 @@ class FreeDirection(SinglePassTask):
 
         Args:
             distance: Signed distance [m or rad].
+
+        Raises:
+            TargetError: The distance is 0 or not a finite number.
         """
         return self._with(_profile=replace(self._profile, distance=_number("distance", distance, positive=False)))
 
@@ -275,6 +286,9 @@ class FreeDirection(SinglePassTask):
 
         Args:
             q: Configuration (nq,) or joint positions (nv,) [rad or m].
+
+        Raises:
+            ConfigurationError: q has the wrong size or is not finite.
         """
         return 0.0 if self.way_begins is None and self._start_time < math.inf else self.progress_near(q, self._place)
 
@@ -292,6 +306,9 @@ class FreeDirection(SinglePassTask):
         Args:
             q: Configuration (nq,) or joint positions (nv,) [rad or m].
             near: Estimate [m or rad]; of all angles that differ by full turns, the nearest to it is returned.
+
+        Raises:
+            ConfigurationError: q has the wrong size or is not finite.
         """
         return 0.0 if self._course is None else self._course.evaluate(q, near)[0]
 
@@ -311,6 +328,9 @@ class FreeDirection(SinglePassTask):
         Args:
             q: Configuration (nq,) or joint positions (nv,) [rad or m].
             progress: Distance along the motion at which the values are taken [m or rad].
+
+        Raises:
+            ConfigurationError: q has the wrong size or is not finite.
         """
         return 0.0 if self._course is None else self._course.deviation(q, progress)
 

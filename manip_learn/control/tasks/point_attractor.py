@@ -307,6 +307,9 @@ class PointAttractor(Task):
             constraint: The constraint of the controller, see `rows`.
             q: Configuration (nq,) or joint positions (nv,) [rad or m].
             t: Not used.
+
+        Raises:
+            TargetError: The target has the wrong size.
         """
         return self._toward(constraint, q)[1]
 
@@ -317,6 +320,9 @@ class PointAttractor(Task):
             constraint: The constraint of the controller, see `rows`.
             q: Configuration (nq,) or joint positions (nv,) [rad or m].
             t: Not used.
+
+        Raises:
+            TargetError: The target has the wrong size.
         """
         return self._attraction(self.displacement(constraint, q))
 
@@ -327,6 +333,9 @@ class PointAttractor(Task):
             constraint: The constraint of the controller, see `rows`.
             q: Configuration (nq,) or joint positions (nv,) [rad or m].
             t: Not used.
+
+        Raises:
+            TargetError: The target has the wrong size.
         """
         if type(self) is not PointAttractor:  # a subclass may override velocity()
             return super().velocity_and_jacobian(constraint, q, t)
@@ -346,6 +355,9 @@ class PointAttractor(Task):
             constraint: The constraint of the controller, see `rows`.
             q: Configuration (nq,) or joint positions (nv,) [rad or m].
             t: Not used.
+
+        Raises:
+            TargetError: The target has the wrong size.
         """
         return float(np.linalg.norm(self.displacement(constraint, q)))
 
