@@ -309,10 +309,13 @@ class FeatureMap(ABC):
         """Return this feature map with other constructor arguments.
 
         Args:
-            arguments: Arguments to replace, named as in the constructor.
+            arguments: Arguments to replace, named as in the constructor; names that are not in `saved` are ignored.
 
         Returns:
             A new feature map of the same robot.
+
+        Raises:
+            FeatureError: An argument is invalid, or the features are Python functions, which cannot be built again.
         """
         make, described = type(self), self.describe() | arguments
         return make(self.robot, **{name: described[name] for name in self.saved if name in described})  # type: ignore[call-arg]

@@ -322,7 +322,7 @@ class MechanismRows(WeighedVelocity):
             on the distance.
 
         Raises:
-            ConfigurationError: q has the wrong size or is not finite.
+            ConfigurationError: q has the wrong size or is not finite; not checked if the result is None.
         """
         if self.radius is None or not set(self.row_names) & set(DISTANCE_ROWS):
             return None
