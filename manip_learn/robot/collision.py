@@ -439,6 +439,9 @@ class SelfCollision:
             distance: Largest distance of a returned pair [m].
             only: Indices in `pairs` to check; None for all.
 
+        Returns:
+            One `Proximity` per near pair, in the order of `only` or of `pairs`, not sorted by distance.
+
         Raises:
             ConfigurationError: q has the wrong size or is not finite.
         """
@@ -456,6 +459,9 @@ class SelfCollision:
         Args:
             q: Configuration (nq,) or joint positions (nv,) [rad or m].
             only: Indices of the pairs in `pairs`.
+
+        Returns:
+            One distance per entry of `only`, in its order [m].
 
         Raises:
             ConfigurationError: q has the wrong size or is not finite.
