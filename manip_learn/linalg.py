@@ -25,6 +25,9 @@ def unit(size: int) -> Float[np.ndarray, "n n"]:
 
     Args:
         size: Number of rows n.
+
+    Returns:
+        shape (n, n).
     """
     matrix = np.eye(size)
     matrix.setflags(write=False)
@@ -37,10 +40,13 @@ def inverse_singular_values(
     """Return the inverse singular values 1/sigma of the pseudo-inverse A^+ = V diag(1/sigma) U^T, 0 for dropped ones.
 
     Args:
-        sigma: Singular values (k,) of A, in descending order.
+        sigma: Singular values (k,) of A, in descending order, in any unit.
         shape: Shape of A.
         inverse: `"exact"` inverts all singular values above the smallest normal floating-point number; `"truncated"`
             drops values below Matlab's tolerance max(size(A)) * eps(norm(A)), as the paper does.
+
+    Returns:
+        shape (k,), in the order of `sigma`.
 
     Raises:
         ValueError: `inverse` is another text.
@@ -79,8 +85,11 @@ def matlab_tolerance(sigma: Float[np.ndarray, " k"], shape: tuple[int, ...]) -> 
     """Compute the tolerance of Matlab's pinv, max(size(A)) * eps(norm(A)).
 
     Args:
-        sigma: Singular values of A, in any order.
+        sigma: Singular values (k,) of A, in any order.
         shape: Shape of A.
+
+    Returns:
+        Tolerance, in the unit of A.
     """
     return float(max(shape) * np.spacing(np.max(sigma, initial=0.0)))
 
@@ -89,7 +98,7 @@ def rank_of(sigma: Float[np.ndarray, " k"], shape: tuple[int, ...]) -> int:
     """Return the numerical rank: the number of singular values above Matlab's tolerance.
 
     Args:
-        sigma: Singular values of A, in descending order.
+        sigma: Singular values (k,) of A, in descending order.
         shape: Shape of A.
     """
     values = sigma.tolist()
@@ -104,7 +113,10 @@ def null_basis(A: Float[np.ndarray, "s n"]) -> Float[np.ndarray, "n k"]:
     """Return an orthonormal basis Z of the null space of A, one column per dimension.
 
     Args:
-        A: Matrix of any shape; its rank is determined with Matlab's tolerance.
+        A: Matrix (s, n) of any rank, which is determined with Matlab's tolerance.
+
+    Returns:
+        shape (n, k), with orthonormal columns; k may be 0.
     """
     _, sigma, Vt = np.linalg.svd(A, full_matrices=True)
     return Vt[rank_of(sigma, A.shape) :].T
@@ -127,7 +139,10 @@ def pivoted_rows(M: Float[np.ndarray, "s p"]) -> Float[np.ndarray, "s p"]:
     the same way in the orthogonal complement of the first one, and so on (Gram-Schmidt with pivoting).
 
     Args:
-        M: Matrix with independent rows.
+        M: Matrix (s, p) with independent rows.
+
+    Returns:
+        shape (s, p).
     """
     rows = np.linalg.svd(M, full_matrices=False)[2]
     out, rest = np.zeros((0, M.shape[1])), rows.T @ rows
@@ -144,7 +159,10 @@ def row_basis(M: Float[np.ndarray, "s p"]) -> Float[np.ndarray, "r p"]:
     """Return orthonormal rows that span the row space of M.
 
     Args:
-        M: Matrix of any shape; its rank is determined with Matlab's tolerance.
+        M: Matrix (s, p) of any rank, which is determined with Matlab's tolerance.
+
+    Returns:
+        shape (r, p) for a matrix of rank r.
     """
     _, sigma, Vt = np.linalg.svd(M, full_matrices=False)
     return Vt[: rank_of(sigma, M.shape)]
@@ -154,7 +172,10 @@ def complement_rows(M: Float[np.ndarray, "s p"]) -> Float[np.ndarray, "k p"]:
     """Return orthonormal rows that span the orthogonal complement of the row space of M.
 
     Args:
-        M: Matrix of any shape; its rank is determined with Matlab's tolerance.
+        M: Matrix (s, p) of any rank, which is determined with Matlab's tolerance.
+
+    Returns:
+        shape (k, p), with k = p minus the rank.
     """
     return null_basis(M).T
 
@@ -163,7 +184,7 @@ def whitener(S: Float[np.ndarray, "n n"], least: float = 1e-12) -> Float[np.ndar
     """Return a whitening matrix W, so that W S W^T = I, of a symmetric positive semidefinite matrix S.
 
     Args:
-        S: Sum of products, or curvature; the unknowns may have different units.
+        S: Matrix (n, n): a sum of products, or a curvature; the unknowns may have different units.
         least: Smallest eigenvalue, relative to the largest one after scaling S to a unit diagonal, that is not a
             rounding error.
 
@@ -181,8 +202,8 @@ def row_space_angle(M1: Float[np.ndarray, "s p"], M2: Float[np.ndarray, "k p"]) 
     """Return the largest principal angle between two row spaces [rad], accurate for tiny angles too.
 
     Args:
-        M1: Matrix; dependent rows and zero rows are allowed and do not change the space.
-        M2: Matrix with the same number of columns.
+        M1: Matrix (s, p); dependent rows and zero rows are allowed and do not change the space.
+        M2: Matrix (k, p) with the same number of columns.
 
     Returns:
         The angle [rad]; pi/2 if the dimensions differ, 0 if both spaces are empty.
@@ -197,8 +218,11 @@ def row_space_angles(stack: Float[np.ndarray, "n s p"], M: Float[np.ndarray, "s 
     """Return the largest principal angle between the row space of M and each row space of a stack [rad].
 
     Args:
-        stack: Matrices with independent rows.
-        M: Matrix with independent rows.
+        stack: Matrices (n, s, p) with independent rows.
+        M: Matrix (s, p) with independent rows.
+
+    Returns:
+        shape (n,) [rad].
     """
     Q1, Q2 = np.linalg.qr(stack.transpose(0, 2, 1))[0].transpose(0, 2, 1), np.linalg.qr(M.T)[0].T
     shared = Q1 @ Q2.T
@@ -214,7 +238,7 @@ def batch_row_spaces(A: Float[np.ndarray, "n s nv"]) -> tuple[Float[np.ndarray, 
     The basis of the null space is Z_n = Q_n[:, s:], and the pseudo-inverse A_n^+ = Q_n[:, :s] R_n^{-T}.
 
     Args:
-        A: Stack of n constraint matrices.
+        A: Stack of n constraint matrices (n, s, nv).
 
     Returns:
         The orthogonal matrices Q_n (n, nv, nv) and the upper triangular matrices R_n (n, s, s).
@@ -303,11 +327,11 @@ def along_axes(rows: Float[np.ndarray, "k p"]) -> Float[np.ndarray, "k p"]:
     """Return orthonormal rows of the same row space, each aligned with one coordinate axis as far as possible.
 
     Args:
-        rows: Orthonormal rows.
+        rows: Orthonormal rows (k, p).
 
     Returns:
-        The rows, sorted by the axis of their largest entry, which is positive. The first row is aligned with the axis
-        nearest to the row space, the next ones in the remaining space.
+        Rows (k, p), sorted by the axis of their largest entry, which is positive. The first row is aligned with the
+        axis nearest to the row space, the next ones in the remaining space.
     """
     remaining, out = rows.copy(), []
     while remaining.shape[0]:
@@ -328,7 +352,7 @@ def manipulability_of(A: Float[np.ndarray, "s nv"]) -> float:
     """Compute the manipulability mu = sqrt(det(A A^T)), equation (4), as the product of the singular values.
 
     Args:
-        A: Constraint matrix.
+        A: Constraint matrix (s, nv).
 
     Returns:
         The manipulability mu; 0 if A has more rows than columns.

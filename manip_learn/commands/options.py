@@ -141,7 +141,7 @@ class RobotOptions(Options, kw_only=True):
     """Robot.
 
     Attributes:
-        lock: Joint to lock; repeatable.
+        lock: Joint to lock at zero, or at the limit nearest to zero; repeatable.
         package_dir: Folder with mesh packages; repeatable.
         objects: Object whose pose is recorded (NAME.x ... NAME.rz); repeatable.
         xacro: Expand the robot's xacro file; this runs its code.

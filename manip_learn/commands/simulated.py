@@ -17,11 +17,13 @@ def start_posture(robot: ml.Robot, constraint: ml.Constraint, start: str | None,
     Args:
         robot: The robot.
         constraint: Constraint with the demonstrated postures.
-        start: Posture as the user typed it; None for the first demonstrated one.
+        start: Posture as the user typed it, numbers with commas or spaces between them; None for the first demonstrated
+            one.
         moves: False to use the neutral posture instead of the demonstrated one.
 
     Returns:
-        Configuration (nq,); and a sentence, empty if the user typed the posture.
+        Configuration (nq,), or joint positions (nv,) if the user typed them [rad or m]; and a sentence, empty if the
+        user typed the posture.
     """
     demonstrated, typed = constraint.provenance.get("postures"), vector("--start", start)
     q0, whence = robot.neutral(), "the robot's neutral posture"

@@ -74,6 +74,7 @@ class Constraint:
         features: Feature map Phi.
         n_constraints: Number of rows s.
         nv: Number of velocities that A acts on.
+        provenance: Record of how the constraint was learnt, a dictionary of JSON values; empty if there is none.
         robot: The robot of the features; None for features without a robot.
         notes: Differences found by `load`, in sentences, e.g. joints that were locked at other positions. Empty for
             other constraints.
@@ -256,6 +257,9 @@ class Constraint:
 
         Returns:
             shape (s, nv, nv): entry [i, j, k] = d A_ij / d q_k along tangent coordinate k.
+
+        Raises:
+            ConfigurationError: q has the wrong size or is not finite.
         """
         return self.value_and_derivative(q)[1]
 
@@ -267,6 +271,9 @@ class Constraint:
 
         Returns:
             A (s, nv), and dA/dq (s, nv, nv) as from `derivative`.
+
+        Raises:
+            ConfigurationError: q has the wrong size or is not finite.
         """
         Phi, dPhi = self.features.value_and_derivative(q)
         dA = self.selection @ dPhi.reshape(dPhi.shape[0], -1)
@@ -281,6 +288,9 @@ class Constraint:
         Returns:
             A (s, nv), and a function that takes weights w (s, nv) and returns the vector (nv,) whose entry k is the sum
             over i and j of `w[i, j] * dA[i, j] / dq[k]`.
+
+        Raises:
+            ConfigurationError: q has the wrong size or is not finite.
         """
         A, dA = self.value_and_derivative(q)
         flat = dA.reshape(-1, self.nv)

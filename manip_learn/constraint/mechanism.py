@@ -354,6 +354,7 @@ class Mechanism:
 
         Raises:
             ConstraintError: The axis or point of the mechanism is not known.
+            UnknownNameError: The robot has no such frame.
         """
         maps = import_module("manip_learn.constraint.features")  # imports this module, so it is imported here
         g, reference = self.located(), self.relative_to
@@ -386,15 +387,16 @@ class Mechanism:
 
         Args:
             pose: Grasp pose (4, 4) of the hand, in the frame of axis and point [m].
-            within: Largest allowed distance of the hand from the mechanism [m]. A line has no such limit, because a
-                handle extends across the drawer.
+            within: Largest allowed deviation of the hand [m]: from the curve, the plane, or the `radius` about the axis
+                or the centre. Not checked for a line, for a plane without a point, or about an axis or a centre if the
+                orientation is `"carried"` or the radius is not known: the hand may then hold the fixture anywhere.
 
         Returns:
             A `Chart`, which converts coordinates to poses of the hand and back.
 
         Raises:
-            ConstraintError: The hand is farther away than `within`, the pose is invalid, or the axis or point of the
-                mechanism is not known.
+            ConstraintError: The deviation is larger than `within`, the pose is not (4, 4) finite numbers, or the axis
+                or point of the mechanism is not known.
 
         Example:
             >>> import numpy as np
@@ -487,7 +489,7 @@ def format_vector(vector: np.ndarray | None, names: Sequence[str] = ()) -> str:
     """Return a vector as text with two decimals, or `"unknown"` for None.
 
     Args:
-        vector: A direction, a position, or a combination of rows; None if unknown.
+        vector: A direction, a position, or a combination of rows, shape (n,); None if unknown.
         names: Names of its entries: a vector with a single significant entry is printed as the name of that entry.
             Default: the vector is always printed as numbers.
 

@@ -188,10 +188,10 @@ class Shown:
         return chart.pose(-far / chart.sizes)[:3, 3]
 
     def along(self, poses: Float[np.ndarray, "T 4 4"]) -> Float[np.ndarray, "T k"]:
-        """Return the path coordinates of another motion of the hand.
+        """Return the coordinates of another motion of the hand along this mechanism, from its own first pose.
 
         Args:
-            poses: Poses (T, 4, 4) of the hand [m].
+            poses: Poses (T, 4, 4) of the hand, in the frame of `mechanism` [m].
 
         Returns:
             Coordinates (T, k) along the mechanism [m or rad], 0 at the first pose.

@@ -60,7 +60,7 @@ def approach_bound(smallest: float, slope: Vector, acceleration: Vector, dt: flo
 
     Args:
         smallest: Smallest singular value sigma of A, in the constraint's units (m or 1).
-        slope: Gradient of sigma with respect to the joint positions (nv,).
+        slope: Gradient of sigma with respect to the joint positions (nv,) [unit of sigma per rad or m].
         acceleration: Acceleration limits (nv,) [rad/s2 or m/s2].
         dt: Step [s].
 
@@ -135,7 +135,7 @@ class CollisionAvoidance:
         """Return the rows that keep all pairs apart in the next step, or None if u brings no pair too near.
 
         Args:
-            q: Posture.
+            q: Configuration (nq,) or joint positions (nv,) [rad or m].
             dt: Step [s].
             acceleration: Acceleration limits (nv,) [rad/s2 or m/s2].
             before: Velocity of the previous step (nv,) [rad/s or m/s]; u is clipped to the velocities that the
@@ -192,7 +192,7 @@ class CollisionAvoidance:
         """Return True if `rows` last found this velocity free of collisions at this posture.
 
         Args:
-            q: Posture.
+            q: Configuration (nq,) or joint positions (nv,) [rad or m].
             u: Velocity (nv,) [rad/s or m/s].
         """
         return np.array_equal(self._clear[0], q) and np.array_equal(self._clear[1], u)
@@ -361,7 +361,7 @@ class Barriers:
         """Return the barriers at a posture.
 
         Args:
-            q: Posture.
+            q: Configuration (nq,) or joint positions (nv,) [rad or m].
             dt: Step [s].
             acceleration: Acceleration limits (nv,) [rad/s2 or m/s2]; inf for no limit.
             previous: Velocity of the previous step (nv,) [rad/s or m/s]; None if there was none.
@@ -393,7 +393,7 @@ class Barriers:
         """Return the speed of the fastest frame [m/s]; 0 without frames.
 
         Args:
-            q: Posture.
+            q: Configuration (nq,) or joint positions (nv,) [rad or m].
             u: Joint velocity (nv,) [rad/s or m/s].
         """
         return max((math.hypot(*self._robot.jacobian(q, frame)[:3].dot(u)) for frame in self.frames), default=0.0)

@@ -143,7 +143,8 @@ class Controller(Protocol):
         Args:
             q: Posture: a configuration (nq,) or joint positions (nv,) [rad or m].
             t: Time at which the step begins [s].
-            dt: Length of the step, for which the velocity is applied [s].
+            dt: Length of the step, for which the velocity is applied [s]; `simulate` and `ServoLoop` always pass it.
+                None for the controller's own period.
 
         Returns:
             The command; `Command.of_joints` makes one from a joint velocity.
@@ -217,7 +218,7 @@ class LimitedController(ABC):
         """Return the motions of the joints along which the task drives the arm.
 
         Args:
-            q: Posture.
+            q: Configuration (nq,) or joint positions (nv,) [rad or m].
 
         Returns:
             shape (k, nv), one joint displacement [rad or m] per driven row: displacement i moves driven row i by 1.

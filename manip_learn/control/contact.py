@@ -58,11 +58,13 @@ class Contact:
         resolution: Force that cannot be distinguished from friction, backlash and noise [N]; "auto" measures it. The
             arm is stopped at no smaller force.
         stiffness: Stiffness of the arm's position servos, shape (nv,) or a number [N m/rad or N/m]. None if it is not
-            known: 2,000 is then assumed, so that the limits are in effect position errors, and a warning reports that.
+            known: 2,000 is then assumed, so that the limits are in effect position errors, and `ServoLoop.notes`
+            reports that.
         **renamed: Former names of arguments, valid until 0.4: `held`, `driven`.
 
     Raises:
-        ConfigurationError: A force, latency, resolution or stiffness is not positive.
+        ConfigurationError: A force is not positive, the latency or the resolution is negative, or one of them is not a
+            finite number. `ServoLoop` checks the stiffness.
         TypeError: An unknown argument.
     """
 
@@ -192,7 +194,7 @@ class FollowingError:
         """Record a step of the commanded posture.
 
         Args:
-            q: Commanded posture before the step.
+            q: Commanded configuration (nq,) or joint positions (nv,) before the step [rad or m].
             time: Duration of the step [s]; negative if a call came early and takes back a part of the previous step.
             velocity: Commanded velocity (nv,) [rad/s or m/s].
         """
@@ -236,7 +238,7 @@ class FollowingError:
         """Return the force on the hand that remains at a measured posture, without the part due to friction [N].
 
         Args:
-            q: Measured posture.
+            q: Measured configuration (nq,) or joint positions (nv,) [rad or m].
         """
         friction = self.servos.friction
         off = signed_excess(self.distance - self.load, -friction, friction)
@@ -247,7 +249,7 @@ class FollowingError:
 
         Args:
             off: Distances of the joints from the commanded posture (nv,) [rad or m].
-            q: Measured posture.
+            q: Measured configuration (nq,) or joint positions (nv,) [rad or m].
 
         Returns:
             Sentence that suggests to declare a payload, if the weight is larger than the 2 kg that need no setting;
@@ -273,7 +275,7 @@ class FollowingError:
 
         Args:
             constraint: Constraint of the controller; None if there is none.
-            q: Measured posture.
+            q: Measured configuration (nq,) or joint positions (nv,) [rad or m].
         """
         j = int(np.abs(self.distance).argmax())
         unit = self._robot.joint_units[j]
@@ -296,8 +298,8 @@ class FollowingError:
         """Compare the newest commanded and measured postures; update `distance`, `force` and `tripped`.
 
         Args:
-            commanded: Commanded posture.
-            measured: Measured posture.
+            commanded: Commanded configuration (nq,) or joint positions (nv,) [rad or m].
+            measured: Measured configuration (nq,) or joint positions (nv,) [rad or m].
             driven: Function of a posture that returns the joint motions which the task drives (k, nv), see
                 `LimitedController.driven_motions`; None if it drives none.
         """

@@ -57,11 +57,12 @@ class ResolvedRateController(LimitedController):
         limits: `True` for the robot's own limits (`Limits` has the default accelerations); a `Limits`; `False` ignores
             all limits (the paper's law as printed).
         dt: Time for which a command is applied [s], unless the call passes another one.
-        robot: Robot whose limits count; by default the robot of the constraint's features.
+        robot: Robot whose limits count; by default the robot of `limits`, or else of the constraint's features.
 
     Raises:
-        ConstraintError: Arguments in the wrong order, a null-space policy for another number of joints, or settings
-            that are not positive.
+        ConstraintError: Arguments in the wrong order, an unknown `inverse`, settings that are not positive, more held
+            rows than joints, or `limits` of another robot than `robot`.
+        ConfigurationError: A function as null-space policy takes other arguments than q, or q and t.
 
     Example:
         >>> import manip_learn as ml
@@ -127,7 +128,8 @@ class ResolvedRateController(LimitedController):
 
         Raises:
             ConfigurationError: q has the wrong size or is not finite, or dt is not positive.
-            TargetError: The task's target does not fit the constraint.
+            TargetError: The task's target does not fit the constraint, or the null-space policy does not return one
+                number per joint.
         """
         dt = self.dt if dt is None else dt
         if not 0.0 < dt < math.inf:
@@ -158,8 +160,12 @@ class ResolvedRateController(LimitedController):
         """Return the distance to the task's goal along the constrained rows [m or rad].
 
         Args:
-            q: Posture.
+            q: Configuration (nq,) or joint positions (nv,) [rad or m].
             t: Time [s].
+
+        Raises:
+            ConfigurationError: q has the wrong size or is not finite.
+            TargetError: The task's target does not fit the constraint.
         """
         return self.task.error(self.constraint, np.asarray(q, dtype=np.float64), t)
 
@@ -171,6 +177,9 @@ class ResolvedRateController(LimitedController):
         Args:
             task: The new task.
             constraint: The new constraint.
+
+        Raises:
+            ConstraintError: The task moves along another constraint.
         """
         rows, policy = task.rows(constraint), self.null_policy
         for before, after in ((self.constraint, rows), (self.learnt, constraint)):

@@ -153,7 +153,8 @@ def run(
         driver: The arm, see `Driver`.
         duration: Time after which the arm brakes [s]; None continues until Ctrl-C.
         until: Function that is called in each cycle: it returns an empty text to continue, or a reason in words, after
-            which the arm brakes and the run ends. An exception from it is raised once the arm is at rest.
+            which the arm brakes and the run ends. An exception from it is raised once the arm is at rest. None for no
+            such function.
         clock: Source of the time; by default the computer's clock. The time of a `simulated` driver is the number of
             commands times the period, whatever the clock.
 

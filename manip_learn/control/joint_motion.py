@@ -96,7 +96,7 @@ class FollowMotion(LimitedController):
         """Return the motions of the joints that are driven: all.
 
         Args:
-            q: Posture; not used.
+            q: Not used.
 
         Returns:
             The identity (nv, nv).
@@ -130,11 +130,14 @@ class FollowMotion(LimitedController):
         """Return the command for the next step.
 
         Args:
-            q: Commanded posture.
+            q: Commanded configuration (nq,) or joint positions (nv,) [rad or m].
             t: Time [s].
-            dt: Length of the step [s]; required.
+            dt: Length of the step [s]; required, None raises.
             previous: Velocity commanded in the previous step (nv,) [rad/s or m/s]; None for no acceleration limit.
             slide: Not used.
+
+        Returns:
+            The command, without a task: its `task_part` is the whole velocity.
 
         Raises:
             ConfigurationError: dt is missing.
@@ -177,7 +180,7 @@ class FollowMotion(LimitedController):
         """Return the largest distance of a joint from its present position in the motion [rad or m].
 
         Args:
-            q: Posture.
+            q: Configuration (nq,) or joint positions (nv,) [rad or m].
             t: Not used; the controller keeps the time of the motion itself.
         """
         return float(np.max(np.abs(self.robot.difference(q, self.at(max(self._clock, 0.0)))), initial=0.0))
@@ -272,7 +275,9 @@ class JointMotion(Task):
 
     Attributes:
         start: shape (nv,), the first posture [rad or m].
-        duration: Duration of the motion if no limit slows it down [s].
+        duration: Planned duration within `limits` and `share` [s]; the arm arrives later if the controller slows it
+            down further.
+        gain: Rate at which deviations are corrected, 10/s.
 
     Raises:
         ConfigurationError: Postures that are not finite or have the wrong size.
@@ -312,7 +317,7 @@ class JointMotion(Task):
 
         Args:
             constraint: Not used; `every_joint` is assumed.
-            q: Posture.
+            q: Configuration (nq,) or joint positions (nv,) [rad or m].
             t: Time since the start [s].
         """
         goal, rate = self.at(t)
@@ -324,7 +329,7 @@ class JointMotion(Task):
         Encoder noise may hide the arrival, therefore the second.
 
         Args:
-            q: Posture.
+            q: Configuration (nq,) or joint positions (nv,) [rad or m].
             t: Time since the start [s].
         """
         late, off = t - self.duration, self._robot.difference(np.asarray(q, dtype=np.float64), self._last)
@@ -335,7 +340,7 @@ class JointMotion(Task):
 
         Args:
             constraint: Not used.
-            q: Posture.
+            q: Configuration (nq,) or joint positions (nv,) [rad or m].
             t: Not used.
         """
         return float(np.linalg.norm(self._robot.difference(q, self._last)))
@@ -443,7 +448,7 @@ class LawSequence(LimitedController):
         """Return the distance to the goal of the active law [m or rad].
 
         Args:
-            q: Posture.
+            q: Configuration (nq,) or joint positions (nv,) [rad or m].
             t: Time on the clock of the calls [s].
         """
         return self.law.task_error(q, t - (self.began or 0.0))

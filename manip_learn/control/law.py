@@ -230,7 +230,7 @@ class Law:
         """Return the desired velocity at a posture, before bounds.
 
         Args:
-            q: Posture.
+            q: Configuration (nq,) or joint positions (nv,) [rad or m].
             t: Time [s].
             dt: Step [s].
             limits: Limits; at an exact singularity the arm moves away from the nearer position limits. None for none.
@@ -292,7 +292,7 @@ class Law:
         """Return c = (A(q + dt/2 u) - A(q)) u, the difference of the rows' mean velocity during a step and A(q) u.
 
         Args:
-            q: Posture.
+            q: Configuration (nq,) or joint positions (nv,) [rad or m].
             dt: Step [s].
             A: Constraint matrix A(q) (s, nv).
             u: Joint velocity (nv,) [rad/s or m/s].
@@ -322,7 +322,7 @@ class Law:
         """Return the task's velocity b for a step, and the Jacobian E of its error (see `Task.error_jacobian`).
 
         Args:
-            q: Posture.
+            q: Configuration (nq,) or joint positions (nv,) [rad or m].
             t: Time at which the step begins [s].
             dt: Step [s].
 
@@ -340,7 +340,7 @@ class Law:
         """Return the null-space policy's velocity w for a step.
 
         Args:
-            q: Posture.
+            q: Configuration (nq,) or joint positions (nv,) [rad or m].
             t: Time at which the step begins [s].
             dt: Step [s].
 
@@ -388,7 +388,7 @@ class Law:
         """Return the command at a posture; errors as for `ResolvedRateController`.
 
         Args:
-            q: Posture, already checked.
+            q: Configuration (nq,) or joint positions (nv,) as a float64 array [rad or m]; not checked.
             t: Time [s].
             dt: Step [s].
             limits: Limits; None for the command without any limits.
@@ -512,6 +512,9 @@ def nearest_within(wish: Vector, W: Float[np.ndarray, "s nv"], bounds: Bounds, b
         W: Weights (s, nv) of the deviation u - wish; s may be 0.
         bounds: Bounds on u.
         barrier: Rows G u >= least; None for none.
+
+    Returns:
+        shape (nv,) [rad/s or m/s].
     """
     nv = len(wish)
     one, zeros, _ = _constants(nv, nv)

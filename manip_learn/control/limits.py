@@ -263,7 +263,7 @@ class Limits:
         """Return the bounds on the velocity of the next step.
 
         Args:
-            q: Posture, already checked.
+            q: Configuration (nq,) or joint positions (nv,) as a float64 array [rad or m]; not checked.
             dt: Step [s].
             previous: Velocity that was commanded in the previous step (nv,) [rad/s or m/s]; None for no limit of the
                 acceleration.
@@ -359,9 +359,9 @@ class Limits:
         This is a cheap estimate, which assumes that the gradient of the singular value is about as large as A.
 
         Args:
-            square: Squared norm of the joint velocity u.
-            size: Squared norm of the constraint matrix A.
-            smallest: Smallest singular value of A.
+            square: Squared norm of the joint velocity u [(rad/s)^2 or (m/s)^2].
+            size: Squared Frobenius norm of the constraint matrix A, in its units squared.
+            smallest: Smallest singular value of A, in the constraint's units (m or 1).
             dt: Step [s].
         """
         rate = min(APPROACH_RATE, 0.5 / dt) * smallest
@@ -373,8 +373,8 @@ class Limits:
         """Return a direction of joint motion, or its negative if the position limits leave more room there.
 
         Args:
-            q: Posture.
-            direction: Direction (nv,), of any length.
+            q: Configuration (nq,) or joint positions (nv,) [rad or m].
+            direction: Direction (nv,) of joint motion, of any length.
 
         Returns:
             `direction` or `-direction`; `direction` also if it has room for 0.1 rad or m.

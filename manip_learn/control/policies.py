@@ -42,13 +42,18 @@ class NullSpacePolicy(ABC):
 
     @abstractmethod
     def __call__(self, q: ArrayLike, t: float = 0.0) -> Vector:
-        """Return the desired joint velocity (nv,) [rad/s or m/s] at posture q and time t [s]."""
+        """Return the desired joint velocity (nv,) [rad/s or m/s].
+
+        Args:
+            q: Configuration (nq,) or joint positions (nv,) [rad or m].
+            t: Time [s].
+        """
 
     def over_step(self, q: ArrayLike, t: float, dt: float) -> Vector:
         """Return the velocity for a step; by default the velocity at its beginning.
 
         Args:
-            q: Posture at the beginning of the step.
+            q: Configuration (nq,) or joint positions (nv,) at the beginning of the step [rad or m].
             t: Time at which the step begins [s].
             dt: Length of the step, for which the velocity is applied [s].
 
@@ -63,13 +68,19 @@ class SampledPolicy(NullSpacePolicy):
 
     @abstractmethod
     def __call__(self, q: ArrayLike, t: float = 0.0, dt: float = 0.01) -> Vector:
-        """Return the desired joint velocity (nv,) [rad/s or m/s] at posture q and time t [s], for a step of dt [s]."""
+        """Return the desired joint velocity for a step, shape (nv,) [rad/s or m/s].
+
+        Args:
+            q: Configuration (nq,) or joint positions (nv,) [rad or m].
+            t: Time at which the step begins [s].
+            dt: Length of the step [s].
+        """
 
     def over_step(self, q: ArrayLike, t: float, dt: float) -> Vector:
         """Return the velocity for a step.
 
         Args:
-            q: Posture at the beginning of the step.
+            q: Configuration (nq,) or joint positions (nv,) at the beginning of the step [rad or m].
             t: Time at which the step begins [s].
             dt: Length of the step, for which the velocity is applied [s].
 
@@ -138,7 +149,11 @@ class JointAttractor(NullSpacePolicy):
         self.robot = robot
 
     def __call__(self, q: ArrayLike, t: float = 0.0) -> Vector:
-        """Return gain * (rest - q), shape (nv,) [rad/s or m/s]; the time t is not used.
+        """Return gain * (rest - q), shape (nv,) [rad/s or m/s].
+
+        Args:
+            q: Configuration (nq,) or joint positions (nv,) [rad or m].
+            t: Not used.
 
         Raises:
             TargetError: q and the rest posture have different sizes.
@@ -193,7 +208,11 @@ class JointLimitAvoidance(NullSpacePolicy):
         self.numbers = self._strength, self._middle, self._per_half, self._longest  # for the compiled law
 
     def __call__(self, q: ArrayLike, t: float = 0.0) -> Vector:
-        """Return the velocity towards the middle of the joint ranges (nv,) [rad/s or m/s]; the time t is not used.
+        """Return the velocity towards the middle of the joint ranges (nv,) [rad/s or m/s].
+
+        Args:
+            q: Configuration (nq,) or joint positions (nv,) [rad or m].
+            t: Not used.
 
         Raises:
             ConfigurationError: q has the wrong size or is not finite.
@@ -324,7 +343,7 @@ class ManipulabilityAscent(_Ascent):
         """Return the ascent velocity (nv,) [rad/s or m/s], finite everywhere.
 
         Args:
-            q: Posture: a configuration or joint positions.
+            q: Configuration (nq,) or joint positions (nv,) [rad or m].
             t: Time [s]; not used.
             dt: Time for which the velocity is applied [s].
 
@@ -433,6 +452,11 @@ class KeptOrientation(SampledPolicy):
     def __call__(self, q: ArrayLike, t: float = 0.0, dt: float = 0.01) -> Vector:
         """Return the velocity of the policy plus the pull towards the demonstrated orientation (nv,) [rad/s or m/s].
 
+        Args:
+            q: Configuration (nq,) or joint positions (nv,) [rad or m].
+            t: Time [s].
+            dt: Time for which the velocity is applied [s].
+
         Raises:
             ConfigurationError: q has the wrong size or is not finite.
         """
@@ -475,6 +499,11 @@ class WeightedPolicies(SampledPolicy):
 
     def __call__(self, q: ArrayLike, t: float = 0.0, dt: float = 0.01) -> Vector:
         """Return the weighted sum of the policies' velocities (nv,) [rad/s or m/s].
+
+        Args:
+            q: Configuration (nq,) or joint positions (nv,) [rad or m].
+            t: Time [s].
+            dt: Time for which the velocity is applied [s].
 
         Raises:
             ConfigurationError: q has the wrong size or is not finite.
@@ -528,8 +557,8 @@ class PolicyFunction(NullSpacePolicy):
     """Null-space policy that calls a function of yours.
 
     Args:
-        function: Function of a posture, or of a posture and a time [s], that returns a joint velocity (nv,) [rad/s or
-            m/s].
+        function: Function of a posture q as the caller passes it, (nq,) or (nv,) [rad or m], or of q and a time [s],
+            that returns a joint velocity (nv,) [rad/s or m/s].
 
     Raises:
         ConfigurationError: The function takes other arguments.
@@ -548,7 +577,15 @@ class PolicyFunction(NullSpacePolicy):
         self._timed = 2 in fits and (1 not in fits or "t" in takes.parameters)
 
     def __call__(self, q: ArrayLike, t: float = 0.0) -> Vector:
-        """Return the velocity that the function returns, as an array (nv,) [rad/s or m/s]."""
+        """Return the velocity that the function returns, as an array (nv,) [rad/s or m/s].
+
+        Args:
+            q: Configuration (nq,) or joint positions (nv,) [rad or m].
+            t: Time [s]; not passed to a function of q alone.
+
+        Raises:
+            TargetError: The function does not return numbers.
+        """
         answer = self.function(q, t) if self._timed else self.function(q)
         try:
             return np.asarray(answer, dtype=np.float64)
@@ -563,7 +600,11 @@ def as_policy(policy: NullSpacePolicy | Callable[..., ArrayLike]) -> NullSpacePo
     """Return a policy unchanged, or a function wrapped as a `PolicyFunction`.
 
     Args:
-        policy: A policy, or a function of a posture, or of a posture and a time [s].
+        policy: A policy; or a function f(q) or f(q, t) of the posture q and the time t [s] that returns a joint
+            velocity (nv,) [rad/s or m/s].
+
+    Raises:
+        ConfigurationError: The function takes other arguments.
     """
     return policy if isinstance(policy, NullSpacePolicy) else PolicyFunction(policy)
 

@@ -67,7 +67,7 @@ class Readings:
 
         Args:
             before: Posture of the previous reading; None if there is none.
-            q: Posture of the newest reading.
+            q: Posture of the newest reading, (nq,) or (nv,) as `before` [rad or m].
             since: Time between the two readings [s].
         """
         jump = 0.05  # [rad or m] error of a reading that is accepted beyond twice the largest motion of the joint

@@ -141,7 +141,8 @@ class Rollout:
     def to_frame(self) -> PandasFrame:
         """Return a pandas data frame with one row per sample.
 
-        Its columns are `time`, joint positions and velocities by name, `mu`, `task_error` and `status`.
+        Its columns are `time` [s], `<joint>` [rad or m] and `<joint>_velocity` [rad/s or m/s] for each joint, `mu`,
+        `task_error` [m or rad] and `status`.
 
         Raises:
             RecordingError: Postures that are not joint positions (nq differs from nv) have no column names.
@@ -191,6 +192,9 @@ class Rollout:
 
         Returns:
             shape (T,).
+
+        Raises:
+            ConfigurationError: The constraint is of a robot with another number of joints.
         """
         A = np.array([constraint(q) for q in self.q])
         A[:-1] = 0.5 * (A[:-1] + A[1:])
@@ -201,6 +205,9 @@ class Rollout:
 
         Args:
             constraint: The constraint.
+
+        Raises:
+            ConfigurationError: The constraint is of a robot with another number of joints.
         """
         return np.array([manipulability(constraint, q) for q in self.q])
 

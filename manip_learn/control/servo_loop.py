@@ -480,7 +480,9 @@ class ServoLoop:
         dt: Period [s].
 
     Raises:
-        ConfigurationError: A setting that is not positive, or a controller without a robot if no `robot` is passed.
+        ConfigurationError: A setting is not positive, the period is not shorter than `stale_after`, the stiffness of
+            `contact` is not positive or has the wrong size, or the controller has no robot and no `robot` is passed.
+        ConstraintError: `limits` belong to another robot than the controller.
         TypeError: An unknown argument; for a removed one the message names the replacement.
 
     Example:
@@ -543,8 +545,8 @@ class ServoLoop:
         limits, while the commanded velocity is zero and the status stays `Status.FOLLOWING_ERROR`.
 
         Args:
-            q: Commanded posture to start from, at which the servos hold the arm; None takes the next measured posture,
-                which contains encoder noise.
+            q: Commanded configuration (nq,) or joint positions (nv,) to start from, at which the servos hold the arm
+                [rad or m]; None takes the next measured posture, which contains encoder noise.
 
         Raises:
             ConfigurationError: q has the wrong size or is not finite.
@@ -576,7 +578,8 @@ class ServoLoop:
 
         Raises:
             ConfigurationError: The controller is not a `ResolvedRateController`.
-            ManipLearnError: The task does not fit the constraint.
+            ManipLearnError: The task does not fit the constraint. Before the first reading, not everything can be
+                checked: the next `update` then returns `Status.INVALID_INPUT`.
         """
         self._exchange(task, None)
 
@@ -588,7 +591,8 @@ class ServoLoop:
 
         Raises:
             ConfigurationError: The task is not a `PointAttractor`.
-            TargetError: The target does not fit the constraint.
+            TargetError: The target is not finite numbers or does not fit the constraint; its size is not checked before
+                the first reading (see `set_task`).
         """
         task = None if self.rules.controller.law is None else self.rules.controller.law.task
         if type(task) is not PointAttractor:
@@ -657,7 +661,7 @@ class ServoLoop:
         """Return the command of the next period. Never raises.
 
         Args:
-            q: Measured posture: a configuration or joint positions.
+            q: Measured configuration (nq,) or joint positions (nv,) [rad or m].
             t: Time at which it was measured [s].
 
         Returns:
@@ -672,8 +676,11 @@ class ServoLoop:
         """Return the command of the next period as `update` does, but raise errors of controller, task and policy.
 
         Args:
-            q: Measured posture: a configuration or joint positions.
+            q: Measured configuration (nq,) or joint positions (nv,) [rad or m].
             t: Time at which it was measured [s].
+
+        Returns:
+            The command, as from `update`.
 
         Raises:
             ManipLearnError: An error of the controller.
@@ -693,7 +700,7 @@ class ServoLoop:
         It is NaN if the controller has no `task_error`.
 
         Args:
-            q: Posture.
+            q: Configuration (nq,) or joint positions (nv,) [rad or m].
             t: Time [s].
         """
         error = getattr(self.controller, "task_error", None)

@@ -33,7 +33,7 @@ def signed_excess(x: np.ndarray, low: np.ndarray | float, high: np.ndarray | flo
     """Return the excess of numbers above `high` (positive) or below `low` (negative); 0 between them.
 
     Args:
-        x: The numbers, in any unit.
+        x: Numbers of any shape, in any unit.
         low: Lower bounds, broadcast to x.
         high: Upper bounds, broadcast to x.
     """

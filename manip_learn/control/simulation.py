@@ -197,11 +197,16 @@ class WayDone:
 
     @property
     def strays(self) -> bool:
-        """True if the hand left its constraint by more than 2 mm or 2 mrad, the typical play of a mechanism."""
+        """True if the hand left its constraint by more than 2 mm or 2 mrad, the typical backlash of a mechanism."""
         return self.deviation > 2e-3  # [m or rad] play of a drawer's rails; 5 mm press with 18 N on a stiff arm
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the outcome as a dictionary for JSON, with lengths in m and angles in degrees."""
+        """Return the outcome as a dictionary for JSON; `wanted` and `done` are in m or degrees, as `unit` states.
+
+        Returns:
+            The attributes by name (`deviation` in m or rad); instead of `fastest`, `fastest_joint` with `name` and
+            `share_of_limit`.
+        """
         size, unit = (1.0, "m") if self.unit == "m" else (float(np.degrees(1.0)), "deg")
         content = vars(self) | {"wanted": size * self.wanted, "done": size * self.done, "unit": unit}
         name, share = content.pop("fastest")
@@ -233,7 +238,7 @@ def simulate_way(
     Args:
         robot: The robot.
         controller: Controller with the `FreeDirection` as its task.
-        q0: Start posture.
+        q0: Start posture: a configuration (nq,) or joint positions (nv,) [rad or m].
         dt: Step [s].
         duration: Simulated time [s]; None for as long as the motion needs.
         progress: Function that is called with a title and the completed fraction, 0 to 1; None for none.

@@ -34,6 +34,9 @@ class LeRobotMotor:
         span: Joint motion over the whole range of the motor's readings, -100 .. 100 or 0 .. 100 [rad or m]. None for
             the range of the arm's calibration, or of the joint's limits if there is no calibration. Not used for a
             motor that reads degrees.
+
+    Raises:
+        ConfigurationError: The sign is not 1 or -1, the zero is not finite, or the span is not positive and finite.
     """
 
     joint: str
@@ -72,8 +75,8 @@ class LeRobotDriver:
             the joint with its own name.
         others: Motors that do not move a joint, e.g. of a gripper; they keep their first position. If such a motor
             reads 0 to 100, `gripper` moves it: 0 is closed and 100 is open.
-        units: Unit of motor positions. For most arms LeRobot states it (`bus.motors`, `config.use_degrees`); set it for
-            all others.
+        units: Unit of motor positions, `"radians"`, `"degrees"` or `"normalised"` (-100 .. 100). For most arms LeRobot
+            states it (`bus.motors`, `config.use_degrees`): leave None; set it for all others.
 
     Attributes:
         period: Time between two commands [s].

@@ -61,6 +61,7 @@ class MuJoCoDriver:
         ConfigurationError: The model lacks a joint, a joint is not a hinge or a slide, the period is not a multiple of
             the time step, or the latency is not a multiple of the period.
         MissingExtraError: MuJoCo is not installed.
+        TypeError: An unknown argument.
     """
 
     simulated = True

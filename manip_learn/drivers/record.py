@@ -107,11 +107,12 @@ def record(
         duration: Time after which recording ends [s]; None for no limit. Ctrl-C ends it in any case.
         release: True to call the driver's `release`; False leaves the arm as it is.
         key: Function that is called in each period, and returns `"start or stop"` to begin or end a file, `"end"` to
-            end recording, or an empty text.
+            end recording, or an empty text. None for no such function; with `by="key"` no file then begins.
         shown: Function that is called with each sample: joint positions by name [rad or m], and True if they are
-            recorded.
-        began: Function that is called with the path of a file when it begins, and with None when it ends.
-        clock: Source of the time, see `run`.
+            recorded. None for no such function.
+        began: Function that is called with the path of a file when it begins, and with None when it ends. None for no
+            such function.
+        clock: Source of the time; None for the computer's clock (see `run`).
 
     Returns:
         The files, the number of lost samples, and the reason for the end.

@@ -47,7 +47,7 @@ def nmie(mu: Manipulabilities, learnt: Manipulabilities) -> float:
         learnt: Manipulability of the learnt constraint at the same configurations (n,).
 
     Returns:
-        NMIE: 0 if the two are equal, 1 for the best constant.
+        NMIE: 0 if the two are equal, 1 if `learnt` is the mean of `mu` everywhere.
     """
     return float(mie(mu, learnt) / np.var(mu))
 

@@ -101,7 +101,12 @@ class AuditReport(NamedTuple):
         return tuple(e for e in self.episodes if e.leave_out)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return all attributes as plain dictionaries, lists and numbers; NaN and infinity are not replaced."""
+        """Return the report as plain dictionaries, lists and numbers; NaN and infinity are not replaced.
+
+        Returns:
+            `episodes` (all attributes of each), `leave_out` (name, number and reasons of each), `rule` (text, criteria,
+            threshold), `n_episodes`, `n_samples` and `notes`.
+        """
         odd = [{"episode": e.episode, "number": e.number, "reasons": e.reasons} for e in self.leave_out]
         rule = {"text": RULE, "criteria": self.criteria, "threshold": self.threshold}
         rows, sizes = [e._asdict() for e in self.episodes], [e.n_samples for e in self.episodes]
@@ -126,19 +131,21 @@ def audit_episodes(
         constraint: Constraint, learnt or written by hand. If it was learnt as self-imposed (the demonstrator drives the
             rows), motion along its rows is no violation.
         demonstrations: Recordings, in any form that `ConstraintLearner.fit` accepts.
-        velocities: `"auto"` or `"derive"` to derive velocities from positions, `"recorded"` for recorded velocities.
+        velocities: `"auto"` or `"derive"` to derive velocities from positions; `"recorded"` to use recorded velocities,
+            and derive them for recordings without.
         false_alarms: Probability of leaving out at least one recording if all are equally good, between 0 and 1. With a
             larger value, more recordings are left out.
         client: A `dask.distributed.Client` whose workers measure the recordings; None to measure in this process.
         progress: Function that is called with the name of a stage and its completed share, 0 to 1; None for none.
 
     Returns:
-        Measures and decisions for all recordings, the worst first.
+        Measures and decisions for all recordings, the worst first. With fewer than five, none is left out.
 
     Raises:
         RecordingError: There are no demonstrations, they are of another robot, velocities cannot be derived, or
             `false_alarms` is not between 0 and 1.
         ManipLearnError: The workers of the client died.
+        ConfigurationError: Recordings without joint names have another number of columns than the robot has joints.
     """
     if not 0.0 < false_alarms < 1.0:
         raise RecordingError(f"false_alarms must be a probability between 0 and 1, got {false_alarms!r}", code="option")

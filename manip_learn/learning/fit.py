@@ -137,7 +137,7 @@ class Motion:
 
     @cached_property
     def levels(self) -> Levels:
-        """RMS displacement along each direction, as `Levels`."""
+        """RMS displacement along each direction of the whitened feature rows, as `Levels`."""
         y, x = self.y, self.x if self.way is None else self.way
         if self.way is None:
             y, x = (np.concatenate([z[p] - z[p].mean(axis=0) for p in self.parts]) for z in (y, x))
@@ -431,16 +431,17 @@ def group_fit(fit: RowFit) -> list[set[int]]:
 
 
 def misfit(fit: RowFit) -> tuple[float, float]:
-    """Test if the rows are the wrong shape, e.g. straight rows for a bent rail.
+    """Measure if the rows have the wrong shape, e.g. straight rows for a bent rail.
 
-    The residual is then a function of the position of the hand that repeats in all recordings. It is fitted by cubic
-    polynomials, which are compared with joint offsets alone on held-out recordings.
+    A wrong shape leaves a residual that depends on the hand's position in the same way in every recording.
 
     Args:
         fit: Fit of the rows.
 
     Returns:
-        Evidence for another shape [nats], and RMS residual along the rows [m or rad].
+        Log-likelihood gain on held-out recordings of a cubic in the hand's position over joint offsets alone [nats],
+        positive for a wrong shape, 0 with fewer than three recordings, without poses or if no parameter was fitted; and
+        RMS motion along the constrained rows that `fit` leaves [m or rad].
     """
     motion, off = fit.motion, np.linalg.solve(fit.root, fit.r[:, :, None])
     rms = float(np.sqrt(np.mean(np.sum(off**2, axis=(1, 2)))))

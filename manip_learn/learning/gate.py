@@ -161,7 +161,7 @@ def recombination_test(
         pieces: Recorded motions during contact, with velocities.
         seed: Seed of the random exchanges.
         choices: Number of hypotheses among which the tested one was selected (Bonferroni correction).
-        believed: Smallest lower bound of a strength with which a row is accepted.
+        believed: Smallest 99 % lower confidence bound of a strength with which a row is accepted.
 
     Returns:
         Evidence for each row, most firmly constrained first.
@@ -293,11 +293,13 @@ def is_firm(view: View, rows: np.ndarray, share: float, stretches: Sequence[Stre
 
 @dataclass(frozen=True)
 class Gate:
-    """Test that accepts or rejects a hypothesis, which was selected among several views and numbers of rows.
+    """Test if candidate rows are constrained: `gate(view, hypothesis, stretches)` is True if there is evidence.
+
+    It allows for the selection of the rows as the best of many candidates (views of the features, numbers of rows).
 
     Attributes:
         seed: Seed of the random exchanges of the recombination test.
-        believed: Smallest lower bound of a strength with which a row is accepted.
+        believed: A row is accepted if the 99 % lower confidence bound of its strength is at least this.
     """
 
     seed: int = 0

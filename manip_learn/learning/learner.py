@@ -101,6 +101,7 @@ class ConstraintLearner:
     Raises:
         FeatureError: There are no features, an object is no feature map, or an argument is out of range.
         NotFittedError: An attribute with a trailing underscore is read before `fit`.
+        TypeError: An unknown argument.
 
     Example:
         >>> import numpy as np
@@ -206,6 +207,7 @@ class ConstraintLearner:
             RecordingError: The demonstrations cannot be used: velocities cannot be derived, a velocity is an outlier,
                 or the joints are of another robot.
             ManipLearnError: The workers of the client died.
+            ConfigurationError: Recordings without joint names have another number of columns than the robot has joints.
         """
         for name_of_result in _LEARNT:  # a fit that raises must not leave the result of other demonstrations behind
             vars(self).pop(name_of_result, None)

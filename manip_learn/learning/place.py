@@ -482,7 +482,7 @@ def select_rows(
         q: Recorded configurations (n, nq) [rad or m].
 
     Returns:
-        Feature map, and Lambda for it.
+        Feature map with r rows, and Lambda (k, r) for it.
     """
     poses, names = [f for f in asked if isinstance(f, PoseRows)], {n for f in asked for n in f.row_names}
     if isinstance(features, MechanismRows) and known is not None and names == set(AXES[:3]):

@@ -321,7 +321,7 @@ class Samples(NamedTuple):
         """Select some of the samples.
 
         Args:
-            k: Indices of the samples.
+            k: Indices (k,) of the samples.
             first: Field `first` of the result, shape (g + 1,).
             **other: Other fields of the result, instead of the selected values.
 

@@ -102,7 +102,12 @@ class Plan:
         return f"Plan({self.sentence})"
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the plan as a dictionary of JSON values: lengths in m, angles in rad."""
+        """Return the figures of the plan as a dictionary of JSON values.
+
+        Returns:
+            `margin`, `limited_by`, `least_singular_value`, `hold` (joint positions of the grasp configuration [rad or
+            m]), `approach_seconds`, `candidates`, `notes`, and `clear_of` (names of the obstacles).
+        """
         return {
             "margin": self.margin,
             "limited_by": self.margins.limited_by,

@@ -69,7 +69,9 @@ class StepDone:
     off: float | None = None
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the outcome as a dictionary of JSON values: lengths in m, angles in degrees."""
+        """Return the attributes as a dictionary of JSON values; `wanted` and `done` are in m or degrees, as `unit`
+        states.
+        """
         size = 1.0 if self.unit == "m" else float(np.degrees(1.0))
         in_words = {"unit": "m" if self.unit == "m" else "deg", "place": self.place.tolist()}
         in_words["grasp"] = None if self.grasp is None else self.grasp.tolist()
@@ -154,7 +156,7 @@ def repeat(
             the frame that the skill constrains. `"shown"` for the demonstrated speed, None for the joint limits only.
             If `limits` have a tip speed, the lower one applies.
         progress: Function that is called with the name of a stage and its completed share, 0 to 1; None for none.
-        moved: Former name of `fixture_transform`, valid until 0.4.
+        moved: Former name of `fixture_transform`, valid until 0.4. None if it is not used.
 
     Returns:
         The motion, the outcome of each step, the controller, and notes, e.g. about a motion that takes longer than
@@ -164,7 +166,8 @@ def repeat(
         NoPlanError: A step is infeasible; the message gives the step, the cause and possible remedies. The steps before
             it are not returned.
         TargetError: The start is outside the limits, the transform is not rigid, or the skill has no motion.
-        ConfigurationError: `skill` is no skill, `start` has the wrong size, or `tip_speed` is not positive.
+        ConfigurationError: `skill` is no skill, `start` has the wrong size, `tip_speed` is not positive, or `prefer` is
+            another text.
 
     Example:
         >>> import manip_learn as ml

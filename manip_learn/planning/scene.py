@@ -38,6 +38,9 @@ class Thing:
         pose: Pose (4, 4) of the obstacle's own frame in the robot's base frame [m].
         shape: Shape in the obstacle's own frame [m].
         span: Largest dimension; for a mesh the longest side of its bounding box [m].
+
+    Raises:
+        SceneError: An argument is not valid, see `Box`.
     """
 
     name: str
@@ -78,11 +81,12 @@ class Box(Thing):
     Args:
         size: Edge lengths (3,) along its own x, y, z [m].
         pose: Pose (4, 4) of its centre in the robot's base frame [m]; or a position (3,) [m]; or x, y, z, roll, pitch,
-            yaw [m, rad].
+            yaw [m, rad], as in a URDF: the rotation matrix is Rz(yaw) Ry(pitch) Rx(roll).
         name: Name, unique in a scene.
 
     Raises:
-        SceneError: `size` or `pose` is not valid.
+        SceneError: A length is not positive, the pose is not rigid, a length or a coordinate of the position is larger
+            than 20 m, or the name is empty.
     """
 
     size: ArrayLike
@@ -99,6 +103,9 @@ class Sphere(Thing):
         radius: Radius [m].
         centre: Position (3,) of its centre in the robot's base frame [m].
         name: Name, unique in a scene.
+
+    Raises:
+        SceneError: An argument is not valid, see `Box`.
     """
 
     radius: float
@@ -116,6 +123,9 @@ class Cylinder(Thing):
         length: Length along its own z axis [m].
         pose: Pose of its centre in the robot's base frame, in a form that `Box` accepts.
         name: Name, unique in a scene.
+
+    Raises:
+        SceneError: An argument is not valid, see `Box`.
     """
 
     radius: float
@@ -134,10 +144,12 @@ class Mesh(Thing):
             0.
         pose: Pose of the mesh's frame in the robot's base frame, in a form that `Box` accepts.
         name: Name, unique in a scene.
-        scale: Metres per unit of the source, one number or one for each axis: 0.001 for millimetres.
+        scale: Metres per unit of the source, one number or one for each axis of the mesh's frame: 0.001 for
+            millimetres. A negative number mirrors the mesh.
 
     Raises:
-        SceneError: The file does not exist or cannot be read, or the arrays are no valid mesh.
+        SceneError: The file does not exist or cannot be read, the arrays are no valid mesh, the scale is 0, or another
+            argument is not valid, see `Box`.
     """
 
     source: str | os.PathLike[str] | tuple[ArrayLike, ArrayLike]
@@ -155,12 +167,13 @@ class Scene:
     """Obstacles around an arm, in its base frame.
 
     Args:
-        floor: Height of the floor [m]; None for no floor.
+        floor: Height of the floor, z in the base frame [m]; None for no floor.
         boxes, spheres, cylinders, meshes: Obstacles, each with its own name.
         handled: Names of objects that the hand grasps or opens: its links may touch these.
 
     Raises:
-        SceneError: The height of the floor is not a number or too large, or two obstacles share a name.
+        SceneError: The height of the floor is not a number or more than 10 m from the base, an entry is of another
+            class, or two obstacles share a name.
         UnknownNameError: `handled` names an object that is not in the scene.
 
     Example:
@@ -230,8 +243,8 @@ class Scene:
     def load(path: str | os.PathLike[str], robot: Robot | None = None) -> Scene:
         """Read a scene from a scene file, or from a URDF or MJCF file without moving joints.
 
-        Of a URDF or MJCF the collision shapes are used. A scene file is JSON with the arguments of `Scene` and of its
-        obstacles; paths of mesh files are relative to its folder:
+        Of a URDF or MJCF the collision shapes are used, and the visual shapes of links without any. A scene file is
+        JSON with the arguments of `Scene` and of its obstacles; paths of mesh files are relative to its folder:
 
             {"floor": 0.0, "boxes": [{"name": "table", "size": [1.0, 0.6, 0.04], "pose": [0.6, 0.0, 0.3]}],
              "meshes": [{"name": "cabinet", "source": "cabinet.stl", "scale": 0.001, "pose": [0.8, 0, 0, 0, 0, 1.57]}],
@@ -239,13 +252,14 @@ class Scene:
 
         Args:
             path: File to read.
-            robot: Robot whose reach shows if an obstacle is too large to be in metres; None to skip this check.
+            robot: Robot whose reach shows if an obstacle is too large to be in metres: larger than 10 times the reach.
+                None to skip this check.
 
         Returns:
             Scene in the base frame of the robot.
 
         Raises:
-            SceneError: The file is empty or no scene, it has a moving joint, or an obstacle is not valid.
+            SceneError: The file is empty or no scene, it has a moving joint, or an obstacle is not valid or too large.
             UnknownNameError: The file has an unknown key, or `handled` names an object that is not in the scene.
             RobotError: The file cannot be read, or is no valid URDF or MJCF.
         """

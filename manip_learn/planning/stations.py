@@ -118,7 +118,7 @@ class Stations:
 
     @cached_property
     def needs(self) -> Float[np.ndarray, "L s"]:
-        """Speed that the motion needs along each row, matrix B in the docstring of this module [m/s or rad/s]."""
+        """Speed (L, s) that the motion needs along each row, matrix B in the module's docstring [m/s or rad/s]."""
         # [m] distance from the hand to the object: a motion of 0.1 m/s counts as one of 0.5 rad/s (`tasks.motion`)
         lever = 0.2
         angles = Rotation.from_matrix(self.turns[1:] @ self.turns[:-1].transpose(0, 2, 1)).magnitude()
@@ -316,7 +316,8 @@ def margin_of(motion: FreeDirection, rollout: Rollout, begins: float | None, rob
         robot: Robot whose limits apply.
 
     Returns:
-        Margin; None if the hand did not reach the mechanism, or the rows have no frame.
+        Smallest share of the limits that remains, at most 1, see `Margins`; None if the hand did not reach the
+        mechanism, or the rows have no frame.
     """
     if begins is None:
         return None

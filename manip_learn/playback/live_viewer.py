@@ -237,7 +237,7 @@ class LiveViewer(contextlib.AbstractContextManager["LiveViewer"]):
         return self._process.is_open
 
     def show(self, q: ArrayLike, manipulability: float | None = None, time: float | None = None) -> None:
-        """Show a configuration; returns at once. After `close`, or if the server has ended, the call has no effect.
+        """Show a configuration; returns at once. After `close`, or if the server has ended, nothing is shown.
 
         Args:
             q: Joint configuration (nq,) or positions (nv,) [rad or m].

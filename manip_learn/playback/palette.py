@@ -43,8 +43,8 @@ class PhaseKind:
         mark: Number or word on the bands, so that they differ not only in colour; empty for free motion.
         colour: Hexadecimal value.
         ink: Colour of the mark, black or white, whichever has more contrast.
-        strength: Share of the colour in the drawing, 0 to 1; the rest is the page's background. If it is below 1, the
-            path of the tip is thin.
+        strength: Opacity of the colour, 0 to 1, over the page's background. If it is below 1, the path of the tip is
+            thin.
         constraint: Index of the constraint, for a phase of a rollout with several constraints; None otherwise.
     """
 

@@ -150,20 +150,24 @@ def replay(
         rollouts: Rollout or demonstration; or a mapping from names to several. Demonstrations have no manipulability
             curve unless `constraint` is given.
         html: File to write; None for a temporary file.
-        tip: Name of the frame whose path is drawn; None for the frame of the rollouts, or else `default_tip`.
+        tip: Name of the frame whose path is drawn; None for the frame of the rollouts, or else the most likely tip
+            (`likely_tips`).
         title: Text next to the name of the robot.
-        colours: Mapping from names of rollouts to names in `palette.COLOURS`; other rollouts get the unused colours.
+        colours: Mapping from names of rollouts to `"blue"`, `"vermilion"`, `"green"`, `"purple"`, `"amber"`, `"sky"`,
+            `"brown"` or `"grey"`; other rollouts get the unused colours. None to choose all of them.
         open_browser: True to open the page; None to open it only if it is a temporary file.
         phases: Phases of the recordings, as in `report_.phases`: tuples (name of the recording, start [s], end [s],
             index of the constraint or None for free motion), with times on the recording's own time axis. They are
             drawn as bands over time and along the path of the tip.
-        mechanism: Mechanism of the first constraint (`report_.mechanism`), or its dictionary; drawn in the scene.
+        mechanism: Mechanism of the first constraint (`report_.mechanism`), or its dictionary; drawn in the scene. None
+            to use the mechanism in `report`.
         notes: Further sentences for the page.
         constraint: Constraint whose directions are drawn at the tip and whose manipulability is plotted; with phases,
             all constraints (`constraints_`) by index. None to use the constraints that rollouts from `simulate`
             contain.
         report: `report_` of the learner, or its stored form (`constraint.provenance`), for the evidence in words.
-            Phases and mechanism are taken from it if they are not passed.
+            Phases and mechanism are taken from it if they are not passed. None to use the provenance of the
+            constraints.
         target: Target of the task, in a form that `PointAttractor` accepts; None to use the targets that rollouts from
             `simulate` contain.
         side_by_side: True to draw each rollout in its own pane, in the robot's own colours, with one common camera and
@@ -178,9 +182,10 @@ def replay(
         ConstraintMismatchError: The constraint belongs to another robot.
         TargetError: The target is not finite numbers.
         RecordingError: There is nothing to replay; a rollout has NaN, joints of another robot or bad times; phases have
-            bad times or belong to none of the recordings; or a mechanism has numbers that are not finite.
+            bad times or belong to none of the recordings; a mechanism has numbers that are not finite; `align` is
+            another text; or `side_by_side` is set for another number of rollouts.
         ConfigurationError: A configuration has the wrong size.
-        UnknownNameError: The tip frame or a colour does not exist.
+        UnknownNameError: The tip frame or a colour does not exist, or `colours` has an unknown name of a rollout.
         OutputError: The file cannot be written.
 
     Example:

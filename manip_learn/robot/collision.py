@@ -439,6 +439,9 @@ class SelfCollision:
             distance: Largest distance of a returned pair [m].
             only: Indices in `pairs` to check; None for all.
 
+        Returns:
+            One `Proximity` per near pair, in the order of `only` or of `pairs`, not sorted by distance.
+
         Raises:
             ConfigurationError: q has the wrong size or is not finite.
         """
@@ -456,6 +459,12 @@ class SelfCollision:
         Args:
             q: Configuration (nq,) or joint positions (nv,) [rad or m].
             only: Indices of the pairs in `pairs`.
+
+        Returns:
+            One distance per entry of `only`, in its order [m].
+
+        Raises:
+            ConfigurationError: q has the wrong size or is not finite.
         """
         _, geometry_data, far = self._place_shapes(q, bounded=False)
         return [self._distance(k, geometry_data, float(far[k]), np.inf)[1] for k in only]
@@ -465,6 +474,9 @@ class SelfCollision:
 
         Args:
             q: Configuration (nq,) or joint positions (nv,) [rad or m].
+
+        Raises:
+            ConfigurationError: q has the wrong size or is not finite.
         """
         data, geometry_data, far = self._place_shapes(q)
         best, pair, least = None, -1, np.inf

@@ -96,8 +96,11 @@ def reorder_hessian(H: np.ndarray, nv: int) -> Float[np.ndarray, "6 nv nv"]:
     """Reorder the entries of Pinocchio's Hessian to [i, j, k] = d J_ij / d q_k.
 
     Args:
-        H: Result of `getFrameKinematicHessian`, with scrambled entries.
+        H: Result of `getFrameKinematicHessian`, whose 6 nv^2 entries are in another order.
         nv: Number of columns of the Jacobian.
+
+    Returns:
+        shape (6, nv, nv).
     """
     return H.reshape(nv, nv, 6).transpose(2, 1, 0)
 

@@ -40,5 +40,8 @@ def joint_range_margin(x: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
 
     Args:
         x: Joint positions (n,) scaled to their range: -1 at the lower limit, 1 at the upper limit.
+
+    Returns:
+        shape (n,), from 0 at or beyond a limit to 1 in the middle of the range.
     """
     return np.clip((1.0 - x) * (1.0 + x), 0.0, None)

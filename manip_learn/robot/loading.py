@@ -179,11 +179,11 @@ def locked_positions(urdf: UrdfFile, asked: Mapping[str, float | None]) -> dict[
 
     Args:
         urdf: The robot description.
-        asked: Mapping from joints to lock to positions [rad or m]; None for zero, or the limit nearest to zero.
+        asked: Positions by name of the joint to lock [rad or m]; None for zero, or for the limit nearest to zero.
 
     Returns:
-        Joint name -> position [rad or m], in the order of the file; 0 for floating and planar joints. The result can be
-        passed as `asked` again.
+        Joint name -> position [rad or m], in the order of the file. The result can be passed as `asked` again. Floating
+        and planar joints can be locked only at 0.
 
     Raises:
         UnknownNameError: A name is not the name of a joint.

@@ -229,7 +229,7 @@ class Robot:
             q: Configuration (nq,) or joint positions (nv,) [rad or m].
 
         Returns:
-            The same vector, as a float64 array.
+            The same vector, (nq,) or (nv,), as a float64 array.
 
         Raises:
             ConfigurationError: q has the wrong size, NaN, infinity, or a (cos, sin) or quaternion of length zero.
@@ -341,7 +341,11 @@ class Robot:
         return np.unwrap(np.array([self.positions(row) for row in table]).reshape(-1, self.nv), axis=0)
 
     def neutral(self) -> Float[np.ndarray, " nq"]:
-        """Return a configuration within the limits: each joint at zero if that is allowed, else mid-range."""
+        """Return a configuration (nq,) within the limits.
+
+        Each joint is at zero if that is allowed; otherwise in the middle of its range, or at its limit if it has only
+        one.
+        """
         positions = np.zeros(self.nv)
         outside = (self.position_lower > 0.0) | (self.position_upper < 0.0)
         lower, upper = self.position_lower[outside], self.position_upper[outside]
@@ -351,7 +355,10 @@ class Robot:
         return self.configuration(positions)
 
     def random_configuration(self, rng: np.random.Generator) -> Float[np.ndarray, " nq"]:
-        """Sample a random configuration uniformly within the limits; joints without limits within half a turn or 1 m.
+        """Sample a random configuration, uniformly within the limits.
+
+        A joint without limits is within -pi .. pi, a joint with one limit within 2 pi of it [rad or m]; the coordinates
+        of floating and planar joints are within -1 .. 1 [m or rad].
 
         Args:
             rng: Source of random numbers.
@@ -409,7 +416,7 @@ class Robot:
             v: Joint velocities (nv,) [rad/s or m/s].
 
         Returns:
-            The same velocities, as a float64 array.
+            The same velocities (nv,), as a float64 array.
 
         Raises:
             ConfigurationError: v has the wrong size or is not finite.
@@ -421,6 +428,9 @@ class Robot:
 
         Args:
             q: Configuration (nq,) or joint positions (nv,) [rad or m].
+
+        Returns:
+            Configuration of `pinocchio_model`, shape (pinocchio_model.nq,).
 
         Raises:
             ConfigurationError: q has the wrong size or is not finite.

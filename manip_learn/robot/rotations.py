@@ -81,6 +81,9 @@ def angles_between(one: Float[np.ndarray, "3 3"], others: Float[np.ndarray, "n 3
     Args:
         one: Rotation matrix (3, 3).
         others: Rotation matrices (n, 3, 3).
+
+    Returns:
+        shape (n,), from 0 to pi [rad].
     """
     return np.linalg.norm(rotation_vectors(others @ one.T), axis=1)
 
@@ -90,6 +93,9 @@ def rotation_matrix(vector: Float[np.ndarray, " 3"]) -> Float[np.ndarray, "3 3"]
 
     Args:
         vector: Rotation vector (3,), axis times angle [rad].
+
+    Returns:
+        Rotation matrix (3, 3).
     """
     x, y, z = vector.tolist()
     angle = math.hypot(x, y, z)
@@ -109,6 +115,9 @@ def skew(v: Float[np.ndarray, " 3"]) -> Float[np.ndarray, "3 3"]:
 
     Args:
         v: Vector (3,), the first factor of the cross product.
+
+    Returns:
+        shape (3, 3).
     """
     x, y, z = v.tolist()
     return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
@@ -124,7 +133,10 @@ def left_jacobian(vector: Float[np.ndarray, " 3"]) -> Float[np.ndarray, "3 3"]:
         J = I + (1 - cos alpha) / alpha^2 [r]x + (alpha - sin alpha) / alpha^3 [r]x^2
 
     Args:
-        vector: Rotation vector r [rad].
+        vector: Rotation vector r (3,), axis times angle [rad].
+
+    Returns:
+        shape (3, 3), without a unit.
     """
     square = float(vector.dot(vector))
     angle = math.sqrt(square)
@@ -145,7 +157,10 @@ def left_jacobian_inverse(vector: Float[np.ndarray, " 3"]) -> Float[np.ndarray, 
         J^-1 = I - [r]x / 2 + (1 - (alpha / 2) cot(alpha / 2)) / alpha^2 [r]x^2
 
     Args:
-        vector: Rotation vector r [rad].
+        vector: Rotation vector r (3,), axis times angle [rad].
+
+    Returns:
+        shape (3, 3), without a unit.
     """
     x, y, z = vector.tolist()
     square = x * x + y * y + z * z

@@ -16,13 +16,16 @@ Board = tuple[float, float, float, float, float, float, str]  # centre x, y, z, 
 
 
 def facing(out: Float[np.ndarray, " 3"], handle: Float[np.ndarray, " 3"]) -> Float[np.ndarray, "4 4"]:
-    """Return the pose of a handle that moves along a direction, in the base frame [m].
+    """Return the pose of a handle in the base frame: y along `out`, z up, x to complete a right-handed frame.
 
-    The handle is upright unless that direction is vertical.
+    "Up" means as close as possible to the base's z axis; if `out` is nearly vertical, to the base's x axis.
 
     Args:
         out: shape (3,), unit vector of the opening direction, in the base frame.
         handle: shape (3,), position of the handle in the base frame [m].
+
+    Returns:
+        Homogeneous matrix (4, 4) [m].
     """
     up = np.array([0.0, 0.0, 1.0]) if abs(out[2]) < UPRIGHT else np.array([1.0, 0.0, 0.0])
     right = np.cross(out, up) / np.linalg.norm(np.cross(out, up))

@@ -172,7 +172,7 @@ def place_scene(kind: Kind, robot: Robot, tip: str, rng: np.random.Generator) ->
         kind: Kind of the scene.
         robot: The arm, with revolute or prismatic joints on a fixed base.
         tip: Name of the frame that grasps.
-        rng: Random generator of positions, sizes, friction and play.
+        rng: Random generator of positions, sizes, friction and backlash.
 
     Raises:
         ConfigurationError: The kind is unknown, the robot has other joints, or no feasible position was found.

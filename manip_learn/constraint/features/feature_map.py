@@ -75,6 +75,9 @@ class FeatureMap(ABC):
 
         Returns:
             shape (p, nv), in the units of `row_units` per unit of joint velocity.
+
+        Raises:
+            ConfigurationError: q has the wrong size for the robot or is not finite.
         """
 
     def derivative(self, q: ArrayLike) -> Float[np.ndarray, "p nv nv"]:
@@ -99,6 +102,9 @@ class FeatureMap(ABC):
 
         Returns:
             Phi (p, nv), and dPhi/dq (p, nv, nv) as from `derivative`.
+
+        Raises:
+            ConfigurationError: q has the wrong size for the robot or is not finite.
         """
         return self(q), self.derivative(q)
 
@@ -110,6 +116,9 @@ class FeatureMap(ABC):
 
         Returns:
             shape (n, p, nv).
+
+        Raises:
+            ConfigurationError: q has the wrong size for the robot or is not finite.
         """
         return np.reshape([self(row) for row in np.asarray(q, dtype=np.float64)], (-1, self.n_rows, self.nv))
 
@@ -121,6 +130,9 @@ class FeatureMap(ABC):
 
         Returns:
             Phi (n, p, nv) and dPhi/dq (n, p, nv, nv).
+
+        Raises:
+            ConfigurationError: q has the wrong size for the robot or is not finite.
         """
         values = [self.value_and_derivative(row) for row in np.asarray(q, dtype=np.float64)]
         Phi = np.reshape([one for one, _ in values], (-1, self.n_rows, self.nv))
@@ -135,10 +147,11 @@ class FeatureMap(ABC):
             q: Joint configuration (nq,) or positions (nv,) [rad or m].
 
         Returns:
-            shape (p,), one coordinate per row.
+            shape (p,), one coordinate per row; its rate is in the unit of the row (`row_units`).
 
         Raises:
             FeatureError: The rows are not the rates of known coordinates.
+            ConfigurationError: q has the wrong size for the robot or is not finite.
         """
         raise FeatureError(f"{self!r} has no task coordinates: use a task that returns b itself")
 
@@ -296,10 +309,13 @@ class FeatureMap(ABC):
         """Return this feature map with other constructor arguments.
 
         Args:
-            arguments: Arguments to replace, named as in the constructor.
+            arguments: Arguments to replace, named as in the constructor; names that are not in `saved` are ignored.
 
         Returns:
             A new feature map of the same robot.
+
+        Raises:
+            FeatureError: An argument is invalid, or the features are Python functions, which cannot be built again.
         """
         make, described = type(self), self.describe() | arguments
         return make(self.robot, **{name: described[name] for name in self.saved if name in described})  # type: ignore[call-arg]

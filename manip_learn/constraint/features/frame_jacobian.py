@@ -386,7 +386,11 @@ class FrameJacobian(PoseRows):
             q: Joint configuration (nq,) or positions (nv,) [rad or m].
 
         Returns:
-            Phi (p, nv) and dPhi/dq (p, nv, nv).
+            Phi (p, nv), in the units of `row_units` per unit of joint velocity, and dPhi/dq (p, nv, nv) with the
+            entry [i, j, k] = d Phi_ij / d q_k.
+
+        Raises:
+            ConfigurationError: q has the wrong size or is not finite.
         """
         J, H = self.robot.jacobian_and_derivative(q, self.frame, self.reference)
         return J[self._rows], H[self._rows]
@@ -444,6 +448,9 @@ class FrameJacobian(PoseRows):
 
         Returns:
             Position (3,) [m] and rotation matrix (3, 3).
+
+        Raises:
+            ConfigurationError: q has the wrong size or is not finite.
         """
         return self._kinematics.placement(q)
 
@@ -456,6 +463,9 @@ class FrameJacobian(PoseRows):
 
         Returns:
             shape (6, nv) [m/s or rad/s per unit joint velocity].
+
+        Raises:
+            ConfigurationError: q has the wrong size or is not finite.
         """
         return self._kinematics.jacobian(q, "local" if own_axes else "world")
 
@@ -503,7 +513,11 @@ class RelativeFrameJacobian(PoseRows):
             q: Joint configuration (nq,) or positions (nv,) [rad or m].
 
         Returns:
-            Phi (p, nv) and dPhi/dq (p, nv, nv).
+            Phi (p, nv), in the units of `row_units` per unit of joint velocity, and dPhi/dq (p, nv, nv) with the
+            entry [i, j, k] = d Phi_ij / d q_k.
+
+        Raises:
+            ConfigurationError: q has the wrong size or is not finite.
         """
         Phi, dPhi = self.batch_with_derivative(self.robot.checked_posture(q)[None])
         return Phi[0], dPhi[0]
@@ -548,6 +562,9 @@ class RelativeFrameJacobian(PoseRows):
 
         Returns:
             shape (6, nv) [m/s or rad/s per unit joint velocity].
+
+        Raises:
+            ConfigurationError: q has the wrong size or is not finite.
         """
         both, robot = (self.frame, self.relative_to), self.robot
         return _relative_rows(*[(robot.pose(q, frame)[None], robot.jacobian(q, frame)[None]) for frame in both])[0][0]

@@ -92,6 +92,9 @@ class WeighedVelocity(FeatureMap):
         Args:
             q: Joint configuration (nq,) or positions (nv,) [rad or m].
 
+        Returns:
+            shape (p, nv), in the units of `row_units` per unit of joint velocity.
+
         Raises:
             ConfigurationError: q has the wrong size or is not finite.
         """
@@ -104,7 +107,11 @@ class WeighedVelocity(FeatureMap):
             q: Joint configuration (nq,) or positions (nv,) [rad or m].
 
         Returns:
-            Phi (p, nv) and dPhi/dq (p, nv, nv).
+            Phi (p, nv), in the units of `row_units` per unit of joint velocity, and dPhi/dq (p, nv, nv) with the
+            entry [i, j, k] = d Phi_ij / d q_k.
+
+        Raises:
+            ConfigurationError: q has the wrong size or is not finite.
         """
         W, dW = (x[0] for x in self.place_weights.at(self.twist.placement(q)[0][None]))
         return _product(W, dW, *self.twist.value_and_derivative(q))
@@ -239,6 +246,9 @@ class MechanismRows(WeighedVelocity):
 
         Returns:
             The new features.
+
+        Raises:
+            FeatureError: A row name is unknown or occurs twice.
         """
         return self.changed(rows=rows, radius=radius)
 
@@ -292,6 +302,7 @@ class MechanismRows(WeighedVelocity):
 
         Raises:
             FeatureError: The features have other rows, which are not rates of coordinates.
+            ConfigurationError: q has the wrong size or is not finite.
         """
         d = self.twist.placement(q)[0] - self.geometry.point
         z = float(d @ self.geometry.axis)
@@ -309,6 +320,9 @@ class MechanismRows(WeighedVelocity):
         Returns:
             shape (p, nv). None if the derivative is Phi(q), because the features have no radius or no row that depends
             on the distance.
+
+        Raises:
+            ConfigurationError: q has the wrong size or is not finite; not checked if the result is None.
         """
         if self.radius is None or not set(self.row_names) & set(DISTANCE_ROWS):
             return None
@@ -514,6 +528,9 @@ class CurveRows(WeighedVelocity):
 
         Returns:
             The new features.
+
+        Raises:
+            FeatureError: A row name is unknown or occurs twice.
         """
         return self.changed(points=self.curve, rows=rows)
 
@@ -548,6 +565,7 @@ class CurveRows(WeighedVelocity):
 
         Raises:
             FeatureError: The features have angular rows, which are not rates of coordinates.
+            ConfigurationError: q has the wrong size or is not finite.
         """
         if set(self.row_names) & set(AXES):
             return super().coordinates(q)
@@ -561,10 +579,11 @@ class CurveRows(WeighedVelocity):
 
         Args:
             transform: Homogeneous matrix (4, 4) of R and t, in the base frame [m].
-            selection: Lambda (s, p).
+            selection: Lambda (s, p); it does not depend on the position of the curve.
 
         Returns:
-            The moved features (these features if they are relative to another frame), and Lambda unchanged.
+            The features with the moved curve, or these features if the curve is given in another frame
+            (`relative_to`); and `selection` unchanged.
         """
         is_fixed = self.relative_to is not None
         return self if is_fixed else self.changed(points=self.curve.moved(transform)), selection

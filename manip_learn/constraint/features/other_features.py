@@ -48,6 +48,9 @@ class CentreOfMass(FeatureMap):
 
         Returns:
             shape (p, nv) [m/s per unit joint velocity].
+
+        Raises:
+            ConfigurationError: q has the wrong size or is not finite.
         """
         return self.value_and_derivative(q)[0]
 
@@ -58,7 +61,11 @@ class CentreOfMass(FeatureMap):
             q: Joint configuration (nq,) or positions (nv,) [rad or m].
 
         Returns:
-            Phi (p, nv) and dPhi/dq (p, nv, nv).
+            Phi (p, nv), in the units of `row_units` per unit of joint velocity, and dPhi/dq (p, nv, nv) with the
+            entry [i, j, k] = d Phi_ij / d q_k.
+
+        Raises:
+            ConfigurationError: q has the wrong size or is not finite.
         """
         J, H = self.robot.centre_of_mass_jacobian_and_derivative(q)
         return J[self._rows], H[self._rows]
@@ -71,6 +78,9 @@ class CentreOfMass(FeatureMap):
 
         Returns:
             shape (p,), base frame [m].
+
+        Raises:
+            ConfigurationError: q has the wrong size or is not finite.
         """
         return self.robot.centre_of_mass(q)[self._rows]
 
@@ -82,9 +92,10 @@ class CustomFeatures(FeatureMap):
     They cannot be saved to a file.
 
     Args:
-        function: Function from q to Phi(q), shape (p, nv).
+        function: Function from q to Phi(q), shape (p, nv). It gets a configuration (nq,) of `robot`, or the vector that
+            the caller passed if there is no robot.
         row_names: One name per row.
-        nv: Number of velocities; None for that number of `robot`.
+        nv: Number of velocities; None for the number of `robot`.
         derivative: Function from q to dPhi/dq, shape (p, nv, nv). None: central differences are used (error about
             1e-10).
         coordinates: Function from q to the task coordinates r (p,), whose rate must be Phi(q) u. Only needed for
@@ -93,8 +104,8 @@ class CustomFeatures(FeatureMap):
         robot: The robot whose configuration q is. None: q is a plain vector of size nv.
 
     Raises:
-        FeatureError: Neither `nv` nor `robot` is given, or a function returns the wrong shape or values that are not
-            finite.
+        FeatureError: Neither `nv` nor `robot` is given, or there is no row name; at an evaluation: a function returns
+            the wrong shape or values that are not finite.
     """
 
     def __init__(
@@ -126,10 +137,11 @@ class CustomFeatures(FeatureMap):
             q: State (nv,), or a configuration of the robot.
 
         Returns:
-            shape (p, nv).
+            shape (p, nv), in the units of `row_units` per unit of velocity.
 
         Raises:
-            FeatureError: Wrong shape or not finite.
+            FeatureError: The passed function returned the wrong shape or values that are not finite.
+            ConfigurationError: q has the wrong size for the robot or is not finite; not checked without a robot.
         """
         return self._checked(self._function(self._state(q)), (self.n_rows, self.nv), "Phi")
 
@@ -144,6 +156,7 @@ class CustomFeatures(FeatureMap):
 
         Raises:
             FeatureError: The passed function returned the wrong shape or values that are not finite.
+            ConfigurationError: q has the wrong size for the robot or is not finite; not checked without a robot.
         """
         state = self._state(q)
         if self._derivative is not None:
@@ -162,7 +175,9 @@ class CustomFeatures(FeatureMap):
             shape (p,), one coordinate per row.
 
         Raises:
-            FeatureError: The constructor got no such function, or the function returned the wrong shape.
+            FeatureError: The constructor got no such function, or the function returned the wrong shape or values that
+                are not finite.
+            ConfigurationError: q has the wrong size for the robot or is not finite; not checked without a robot.
         """
         if self._coordinates is None:
             return super().coordinates(q)
@@ -217,7 +232,10 @@ class Stacked(FeatureMap):
             q: Joint configuration (nq,) or positions (nv,) [rad or m].
 
         Returns:
-            shape (p, nv), p summed over the parts.
+            shape (p, nv), p summed over the parts, in the units of `row_units` per unit of joint velocity.
+
+        Raises:
+            ConfigurationError: q has the wrong size for the robot or is not finite.
         """
         return np.concatenate([part(q) for part in self.parts])
 
@@ -229,6 +247,9 @@ class Stacked(FeatureMap):
 
         Returns:
             shape (p, nv, nv), with the rows of the parts in order.
+
+        Raises:
+            ConfigurationError: q has the wrong size for the robot or is not finite.
         """
         return np.concatenate([part.derivative(q) for part in self.parts])
 
@@ -240,6 +261,9 @@ class Stacked(FeatureMap):
 
         Returns:
             shape (n, p, nv).
+
+        Raises:
+            ConfigurationError: q has the wrong size for the robot or is not finite.
         """
         return np.concatenate([part.batch(q) for part in self.parts], axis=1)
 
@@ -251,6 +275,10 @@ class Stacked(FeatureMap):
 
         Returns:
             shape (p,), one coordinate per row, in the units of the parts.
+
+        Raises:
+            FeatureError: A part has no coordinates.
+            ConfigurationError: q has the wrong size for the robot or is not finite.
         """
         return np.concatenate([part.coordinates(q) for part in self.parts])
 
@@ -274,6 +302,10 @@ class Stacked(FeatureMap):
 
         Returns:
             e (p,) and E (p, nv); None instead of E if it is Phi(q) for all parts.
+
+        Raises:
+            TargetError: The target has the wrong size or is not finite.
+            FeatureError: A part has no coordinates.
         """
         goals = np.split(self._goal(target), np.cumsum([part.n_rows for part in self.parts])[:-1])
         both = [part.error_and_jacobian(goal, q) for part, goal in zip(self.parts, goals, strict=True)]
@@ -286,7 +318,11 @@ class Stacked(FeatureMap):
         return np.concatenate([p(q) if b is None else b for p, b in zip(self.parts, blocks, strict=True)])
 
     def describe(self) -> dict[str, Any]:
-        """Return a dictionary of JSON values that describes the parts, as in a constraint file."""
+        """Return a dictionary of JSON values that describes the parts, as in a constraint file.
+
+        Raises:
+            FeatureError: A part is made of Python functions, which cannot be saved.
+        """
         return {"kind": self.kind, "parts": [part.describe() for part in self.parts]}
 
     def __repr__(self) -> str:

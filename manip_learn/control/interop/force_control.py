@@ -42,7 +42,7 @@ def force_mode(constraint: Constraint, q: ArrayLike) -> dict[str, Any]:
 
     Args:
         constraint: The task.
-        q: Posture.
+        q: Configuration (nq,) or joint positions (nv,) [rad or m].
 
     Returns:
         `task_frame`: position [m] and rotation vector [rad] in the base frame of the UR controller (the robot's frame
@@ -53,6 +53,7 @@ def force_mode(constraint: Constraint, q: ArrayLike) -> dict[str, Any]:
 
     Raises:
         ConstraintError: The constraint has no task frame, or its task frame is relative to another moving frame.
+        ConfigurationError: q has the wrong size or is not finite.
     """
     frame, robot = _frame_and_robot(constraint, q, "force_mode takes")
     selection = [int(is_held) for is_held in frame.along("held")]
@@ -74,10 +75,11 @@ def urscript(constraint: Constraint, q: ArrayLike) -> str:
 
     Args:
         constraint: The task.
-        q: Posture.
+        q: Configuration (nq,) or joint positions (nv,) [rad or m].
 
     Raises:
         ConstraintError: The constraint has no task frame, or its task frame is relative to another moving frame.
+        ConfigurationError: q has the wrong size or is not finite.
     """
     arguments, (frame, robot) = force_mode(constraint, q), _frame_and_robot(constraint, q)
     tcp = np.linalg.inv(robot.pose(q, "tool0")) @ frame.hand if "tool0" in robot.frame_names else None
@@ -116,7 +118,7 @@ def impedance(
 
     Args:
         constraint: The task.
-        q: Posture.
+        q: Configuration (nq,) or joint positions (nv,) [rad or m].
         stiff: Stiffness along free and unknown axes: linear [N/m] and rotational [N m/rad]. At 15 N, the force at which
             `ServoLoop` stops by default, 1,000 N/m yields by 15 mm; 50 N m/rad match 1,000 N/m at a lever of 0.22 m.
         compliant: Stiffness along held axes, linear [N/m] and rotational [N m/rad]; the default is a tenth of `stiff`.
@@ -131,6 +133,7 @@ def impedance(
 
     Raises:
         ConstraintError: The constraint has no task frame.
+        ConfigurationError: q has the wrong size or is not finite.
     """
     frame, robot = _frame_and_robot(constraint, q)
     values = np.where(frame.along("held"), np.repeat(compliant, 3), np.repeat(stiff, 3))
@@ -158,10 +161,11 @@ def moveit_constraints(constraint: Constraint, q: ArrayLike) -> str:
 
     Args:
         constraint: The task.
-        q: Posture.
+        q: Configuration (nq,) or joint positions (nv,) [rad or m].
 
     Raises:
         ConstraintError: The constraint has no task frame, or its task frame is relative to another moving frame.
+        ConfigurationError: q has the wrong size or is not finite.
     """
     frame, robot = _frame_and_robot(constraint, q, "path constraints are in")
     of_link = np.linalg.inv(frame.hand)

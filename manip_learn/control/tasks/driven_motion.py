@@ -101,7 +101,7 @@ class Course:
         """Return the hand's distance along the motion, the tangent of the motion, and the deviation from it.
 
         Args:
-            q: Posture.
+            q: Configuration (nq,) or joint positions (nv,) [rad or m].
             near: Previous distance [m or rad]; of all angles that differ by full turns, the nearest to it is returned.
 
         Returns:
@@ -125,7 +125,7 @@ class Course:
         """Return the deviation of the held rows from their values on the motion, as a norm [m or rad].
 
         Args:
-            q: Posture.
+            q: Configuration (nq,) or joint positions (nv,) [rad or m].
             distance: Distance along the motion at which the values are taken [m or rad].
         """
         here, learnt = self.motion.origin(q), self.motion.held

@@ -62,7 +62,8 @@ class FreeDirection(SinglePassTask):
             joint the axis of the rotation in the base frame.
         gain: Rate at which deviations are corrected [1/s].
         ramp: Time from rest to `speed` [s].
-        start: Posture at which the motion starts; None for the posture of the first call.
+        start: Configuration (nq,) or joint positions (nv,) at which the motion starts [rad or m]; None for the posture
+            of the first call.
         unit: `"m"` for a translation or `"rad"` for a rotation, if the constraint leaves both free; None for any.
         straight: True to hold the other free translations, too, so that the hand's position moves along the motion
             only; False leaves them to the null-space policy.
@@ -168,7 +169,11 @@ class FreeDirection(SinglePassTask):
         It is 0 if the hand is there, or if the position of the mechanism is not known.
 
         Args:
-            q: Posture.
+            q: Configuration (nq,) or joint positions (nv,) [rad or m].
+
+        Raises:
+            ConfigurationError: q has the wrong size or is not finite.
+            FeatureError: The features have no coordinates.
         """
         return self._find_start(q)[2]
 
@@ -181,7 +186,11 @@ class FreeDirection(SinglePassTask):
         """Return the duration of the motion from a posture, if no limit slows it down [s].
 
         Args:
-            q: Posture.
+            q: Configuration (nq,) or joint positions (nv,) [rad or m].
+
+        Raises:
+            ConfigurationError: q has the wrong size or is not finite.
+            FeatureError: The features have no coordinates.
         """
         far = self.hold(q)
         ramp = self._profile.ramp
@@ -194,7 +203,7 @@ class FreeDirection(SinglePassTask):
         """Return a table of the planned motion from the grasp to its end, at evenly spaced times.
 
         Args:
-            start: Posture before the motion.
+            start: Configuration (nq,) or joint positions (nv,) before the motion [rad or m].
             period: Time between two entries [s]; it is adapted so that the number of entries is in range.
             fewest: Smallest number of entries.
             most: Largest number of entries.
@@ -242,6 +251,9 @@ class FreeDirection(SinglePassTask):
 
         Args:
             distance: Signed distance [m or rad].
+
+        Raises:
+            TargetError: The distance is 0 or not a finite number.
         """
         return self._with(_profile=replace(self._profile, distance=_number("distance", distance, positive=False)))
 
@@ -273,7 +285,10 @@ class FreeDirection(SinglePassTask):
         It is 0 before the motion began, unless `start` was given.
 
         Args:
-            q: Posture.
+            q: Configuration (nq,) or joint positions (nv,) [rad or m].
+
+        Raises:
+            ConfigurationError: q has the wrong size or is not finite.
         """
         return 0.0 if self.way_begins is None and self._start_time < math.inf else self.progress_near(q, self._place)
 
@@ -289,8 +304,11 @@ class FreeDirection(SinglePassTask):
         """Return the distance along the motion that a posture has reached, near an estimate [m or rad].
 
         Args:
-            q: Posture.
+            q: Configuration (nq,) or joint positions (nv,) [rad or m].
             near: Estimate [m or rad]; of all angles that differ by full turns, the nearest to it is returned.
+
+        Raises:
+            ConfigurationError: q has the wrong size or is not finite.
         """
         return 0.0 if self._course is None else self._course.evaluate(q, near)[0]
 
@@ -298,7 +316,7 @@ class FreeDirection(SinglePassTask):
         """Return True if the whole distance is covered, to 1 mm or 0.2 degrees, and the planned duration has passed.
 
         Args:
-            q: Posture.
+            q: Configuration (nq,) or joint positions (nv,) [rad or m].
             t: Time [s].
         """
         is_late = self.way_begins is not None and t - self.way_begins >= self._profile.duration
@@ -308,8 +326,11 @@ class FreeDirection(SinglePassTask):
         """Return the deviation of the held rows from their values on the motion, as a norm [m or rad].
 
         Args:
-            q: Posture.
+            q: Configuration (nq,) or joint positions (nv,) [rad or m].
             progress: Distance along the motion at which the values are taken [m or rad].
+
+        Raises:
+            ConfigurationError: q has the wrong size or is not finite.
         """
         return 0.0 if self._course is None else self._course.deviation(q, progress)
 
@@ -334,7 +355,7 @@ class FreeDirection(SinglePassTask):
 
         Args:
             constraint: Not used; the task's own constraint counts.
-            q: Posture.
+            q: Configuration (nq,) or joint positions (nv,) [rad or m].
             t: Time [s].
         """
         course, goal, rate = self._advance_clock(q, t)
@@ -372,7 +393,7 @@ class FreeDirection(SinglePassTask):
 
         Args:
             constraint: Not used; the task's own constraint counts.
-            q: Posture.
+            q: Configuration (nq,) or joint positions (nv,) [rad or m].
             t: Time [s].
         """
         course, _, _ = self._advance_clock(q, t)
@@ -456,36 +477,39 @@ def motion(
         constraint: Constraint, learnt or written by hand; pass the same one to the controller.
         distance: Distance [m], for a line, a plane, or another mechanism that slides; positive in the demonstrated
             sense, negative for the opposite. If the demonstrations have no common sense, the positive sense along a
-            line is the one in which the largest component of its direction is positive.
+            line is the one in which the largest component of its direction is positive. None: the demonstrated
+            distance, or `angle`.
         angle: Angle [rad], for a hinge, a screw or a ball joint; positive in the demonstrated sense, or right-handed
-            about the axis if the demonstrations have no common sense.
+            about the axis if the demonstrations have no common sense. None: the demonstrated angle, or `distance`.
         direction: Direction of the motion, needed if several are free: on a plane three numbers, or one per row of the
             features; for a ball joint the axis of the rotation in the base frame; for a cylinder the name of a row
             (`"tangential"`, `"axial"`). `"shown"` is the demonstrated sense and `"back"` the opposite one; the selected
-            sense then counts as positive.
+            sense then counts as positive. None for the only free direction, or for a motion as demonstrated.
         speed: Largest speed [m/s or rad/s]; by default the demonstrated speed if the motion reproduces the
             demonstrations, otherwise 0.1 m/s at the hand.
         keep_orientation: True to keep the orientation of the hand, too, e.g. because a gripper has closed on a handle.
         pause: Time at rest on the mechanism before the motion begins, e.g. to close a gripper [s]; meanwhile the
             null-space policy moves the arm to a better posture.
         beyond_shown: True to allow distances longer than the demonstrated range.
-        along: Former name of `distance`, valid until 0.4.
-        turn: Former name of `angle`, valid until 0.4.
+        along: Former name of `distance`, valid until 0.4. None if it is not used.
+        turn: Former name of `angle`, valid until 0.4. None if it is not used.
 
     Returns:
         A `FreeDirection`; a `PointAttractor` if the demonstrator moved the rows on purpose to a target.
 
     Raises:
-        TargetError: Both `distance` and `angle` are given; neither is given, and the constraint has no demonstrated
-            motion; a number is invalid, or exceeds the demonstrated range; the direction is held.
+        TargetError: `constraint` is no `Constraint`; both `distance` and `angle` are given; neither is given, and the
+            constraint has no demonstrated motion; a number is invalid, or exceeds the demonstrated range; the direction
+            is held.
         ConstraintError: The mechanism does not slide or does not turn; no direction is free, or several are and none
             was selected (the message lists them); the demonstrated sense is needed and not known.
 
-    >>> import manip_learn as ml
-    >>> robot = ml.load_robot("sawyer")
-    >>> drawer = ml.Constraint([[0, 1, 0], [0, 0, 1]], ml.FrameJacobian(robot, "right_gripper_tip"))
-    >>> ml.motion(drawer, distance=0.3)
-    FreeDirection(distance=0.3 m, speed=0.1 m/s)
+    Example:
+        >>> import manip_learn as ml
+        >>> robot = ml.load_robot("sawyer")
+        >>> drawer = ml.Constraint([[0, 1, 0], [0, 0, 1]], ml.FrameJacobian(robot, "right_gripper_tip"))
+        >>> ml.motion(drawer, distance=0.3)
+        FreeDirection(distance=0.3 m, speed=0.1 m/s)
     """
     if not isinstance(constraint, Constraint):
         raise TargetError(f"call motion(constraint, distance=... | angle=...): got {an(constraint)} in its place")
@@ -561,8 +585,8 @@ def motion_to(
     Args:
         constraint: Constraint with the rows of a mechanism.
         point: Point in the base frame, shape (3,) [m].
-        q: Posture at the start, with the hand on the mechanism.
-        speed: Largest speed, see `motion` [rad/s].
+        q: Configuration (nq,) or joint positions (nv,) at the start, with the hand on the mechanism [rad or m].
+        speed: Largest speed [rad/s]; None for the default of `motion`.
         keep_orientation: True to keep the orientation of the hand, too.
 
     Raises:
@@ -601,8 +625,10 @@ def null_policy(
         task: Task of the controller.
         constraint: Learnt constraint.
         robot: The robot.
-        gain: Gain of the policy; None for its default.
-        rest: Rest posture of the attractor; None for the neutral posture.
+        gain: Gain of the policy, in the units of its class (`ManipulabilityAscent` or `JointAttractor`); None for its
+            default.
+        rest: Rest posture of the attractor, a configuration (nq,) or joint positions (nv,) [rad or m]; None for
+            `Robot.neutral`.
 
     Raises:
         ManipLearnError: Unknown name.

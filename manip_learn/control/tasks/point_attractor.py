@@ -45,7 +45,7 @@ class Task(ABC):
 
         Args:
             constraint: The constraint of the controller, see `rows`.
-            q: Posture.
+            q: Configuration (nq,) or joint positions (nv,) [rad or m].
             t: Time [s].
         """
 
@@ -55,7 +55,7 @@ class Task(ABC):
 
         Args:
             constraint: The constraint of the controller, see `rows`.
-            q: Posture.
+            q: Configuration (nq,) or joint positions (nv,) [rad or m].
             t: Time [s].
         """
 
@@ -63,7 +63,7 @@ class Task(ABC):
         """Return True if the task is complete, so that another one may follow; by default always False.
 
         Args:
-            q: Posture.
+            q: Configuration (nq,) or joint positions (nv,) [rad or m].
             t: Time [s].
         """
         return False
@@ -104,7 +104,7 @@ class Task(ABC):
 
         Args:
             constraint: The constraint of the controller, see `rows`.
-            q: Posture.
+            q: Configuration (nq,) or joint positions (nv,) [rad or m].
             t: Time [s].
 
         Returns:
@@ -126,7 +126,7 @@ class Task(ABC):
 
         Args:
             constraint: The constraint of the controller, see `rows`.
-            q: Posture.
+            q: Configuration (nq,) or joint positions (nv,) [rad or m].
             t: Time [s].
         """
         return self.velocity(constraint, q, t), self.error_jacobian(constraint, q, t)
@@ -140,7 +140,7 @@ class SinglePassTask(Task):
 
         Args:
             constraint: The constraint of the controller, see `rows`.
-            q: Posture.
+            q: Configuration (nq,) or joint positions (nv,) [rad or m].
             t: Time [s].
         """
         return self.velocity_and_jacobian(constraint, q, t)[0]
@@ -150,7 +150,7 @@ class SinglePassTask(Task):
 
         Args:
             constraint: The constraint of the controller, see `rows`.
-            q: Posture.
+            q: Configuration (nq,) or joint positions (nv,) [rad or m].
             t: Time [s].
         """
         return self.velocity_and_jacobian(constraint, q, t)[1]
@@ -275,7 +275,7 @@ class PointAttractor(Task):
 
         Args:
             constraint: The constraint of the controller, see `rows`.
-            q: Posture.
+            q: Configuration (nq,) or joint positions (nv,) [rad or m].
 
         Raises:
             TargetError: The target has the wrong size.
@@ -297,7 +297,7 @@ class PointAttractor(Task):
         return way, None if E is None else rows.dot(E)
 
     def goal(self) -> Float[np.ndarray, "..."] | None:
-        """Return the target as an array."""
+        """Return the target as an array of the shape that was passed: (p,), (s,) or (4, 4)."""
         return self.target
 
     def error_jacobian(self, constraint: Constraint, q: np.ndarray, t: float) -> Float[np.ndarray, "s nv"] | None:
@@ -305,8 +305,11 @@ class PointAttractor(Task):
 
         Args:
             constraint: The constraint of the controller, see `rows`.
-            q: Posture.
+            q: Configuration (nq,) or joint positions (nv,) [rad or m].
             t: Not used.
+
+        Raises:
+            TargetError: The target has the wrong size.
         """
         return self._toward(constraint, q)[1]
 
@@ -315,8 +318,11 @@ class PointAttractor(Task):
 
         Args:
             constraint: The constraint of the controller, see `rows`.
-            q: Posture.
+            q: Configuration (nq,) or joint positions (nv,) [rad or m].
             t: Not used.
+
+        Raises:
+            TargetError: The target has the wrong size.
         """
         return self._attraction(self.displacement(constraint, q))
 
@@ -325,8 +331,11 @@ class PointAttractor(Task):
 
         Args:
             constraint: The constraint of the controller, see `rows`.
-            q: Posture.
+            q: Configuration (nq,) or joint positions (nv,) [rad or m].
             t: Not used.
+
+        Raises:
+            TargetError: The target has the wrong size.
         """
         if type(self) is not PointAttractor:  # a subclass may override velocity()
             return super().velocity_and_jacobian(constraint, q, t)
@@ -344,8 +353,11 @@ class PointAttractor(Task):
 
         Args:
             constraint: The constraint of the controller, see `rows`.
-            q: Posture.
+            q: Configuration (nq,) or joint positions (nv,) [rad or m].
             t: Not used.
+
+        Raises:
+            TargetError: The target has the wrong size.
         """
         return float(np.linalg.norm(self.displacement(constraint, q)))
 
@@ -398,9 +410,12 @@ class Track(SinglePassTask):
 
         Args:
             constraint: The constraint of the controller, see `rows`.
-            q: Posture.
+            q: Configuration (nq,) or joint positions (nv,) [rad or m].
             t: Time at which the step begins [s].
             dt: Length of the step [s]; 0 leaves out the target's velocity unless `rate` is given.
+
+        Raises:
+            TargetError: The target has the wrong size.
         """
         ahead, E = PointAttractor(self._target(t))._toward(constraint, q)
         b = self.gain * ahead
@@ -415,7 +430,7 @@ class Track(SinglePassTask):
 
         Args:
             constraint: The constraint of the controller, see `rows`.
-            q: Posture.
+            q: Configuration (nq,) or joint positions (nv,) [rad or m].
             t: Time [s].
         """
         return PointAttractor(self._target(t)).error(constraint, q, t)

@@ -99,8 +99,8 @@ class DemonstratedStarts:
         distances is returned.
 
         Args:
-            one: Pose of the hand (4, 4).
-            other: Pose of the hand (4, 4).
+            one: Pose of the hand (4, 4), in the same frame as the other one [m].
+            other: Pose of the hand (4, 4), in the same frame as the other one [m].
         """
         turned = float(angles_between(one[:3, :3], other[None, :3, :3])[0]) if self._is_turned else 0.0
         # with a lever of 0.2 m, an approach at 0.25 m/s turns by 1.25 rad/s at most

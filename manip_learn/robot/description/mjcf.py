@@ -54,7 +54,10 @@ def turn_z_to(direction: Float[np.ndarray, " 3"]) -> Float[np.ndarray, "3 3"]:
     """Return the smallest rotation that turns the z axis into a direction.
 
     Args:
-        direction: Vector of any length.
+        direction: Vector (3,) of any length.
+
+    Returns:
+        Rotation matrix (3, 3).
     """
     return pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), direction).toRotationMatrix()
 

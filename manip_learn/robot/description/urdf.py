@@ -169,7 +169,7 @@ def motion_along(kind: str, axis: Vector, position: float) -> Matrix4:
 
     Args:
         kind: Type of the joint: `"prismatic"`, or another type for a rotation.
-        axis: Unit vector.
+        axis: Unit vector (3,) in the frame of the joint.
         position: Joint position [rad or m].
     """
     T, step = np.eye(4), position * np.array(axis)
@@ -393,8 +393,11 @@ def unit_axis(xyz: tuple[float, ...], axis: XmlNode) -> Vector:
     """Normalise the axis of a joint to unit length.
 
     Args:
-        xyz: The axis as in the file.
+        xyz: Axis (3,) as in the file.
         axis: Its XML element, for warnings and errors.
+
+    Returns:
+        Unit vector (3,).
 
     Raises:
         RobotError: The axis cannot be normalised; codes `axis-zero`, `axis-norm`.
@@ -604,12 +607,12 @@ def _check_limits(joints: Sequence[UrdfJoint], leaders: Mapping[str, str]) -> No
 
 
 def kinematic_urdf(urdf: UrdfFile, visuals: Mapping[str, Sequence[str]] | None = None) -> str:
-    """Return the text of a URDF with the kinematics of a description.
+    """Return a robot description as URDF text: joints, limits and inertias.
 
     Args:
         urdf: A validated description.
-        visuals: Mapping from a link to its `<visual>` elements, which are inserted; `<mimic>` elements are then written
-            too. None for Pinocchio, which needs no visuals and for which mimic joints are ordinary joints.
+        visuals: Link name -> texts of its `<visual>` elements; `<mimic>` elements are then written too. None: neither
+            is written, so that Pinocchio loads mimic joints as independent joints.
     """
     parts = [f"<robot name={quoteattr(urdf.name)}>"]
     for link in urdf.links:

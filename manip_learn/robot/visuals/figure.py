@@ -36,7 +36,7 @@ def bones(model: pin.Model, radius: Float[np.ndarray, " J"]) -> tuple[Bone, ...]
 
     Args:
         model: Pinocchio model of the robot.
-        radius: Radius at each joint [m], from `link_radii`.
+        radius: Radius (J,) at each joint [m], from `link_radii`.
     """
     shortest, tip = 0.2, 0.8  # shortest bone over its radius; radius at the end over the radius at the last joint
     out, axes = list[Bone](), [motion[1] if motion else np.zeros(3) for motion in joint_motions(model)]
