@@ -29,7 +29,7 @@ QUICK := $(addprefix tests/test_,$(addsuffix .py,public_api cli controller mjcf 
 # ARM) is another kernel or its own, with a warning
 NUMERICAL := $(addprefix tests/test_,$(addsuffix .py,closed_loops constraint constraint_mechanism controller \
 	features follow_motion frame_choice free_direction gradients imposed law learning_parts limits linalg \
-	mechanism motion native_engine pinned_answers planar_arm recombination robot tasks uncertainty velocities \
+	mechanism motion native_engine pinned_answers cross_check robot tasks uncertainty velocities \
 	witness))
 KERNELS ?= Haswell Zen Prescott Nehalem Sandybridge
 # which no processor of today chooses by itself: without AVX and FMA
