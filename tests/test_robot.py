@@ -55,7 +55,9 @@ def test_names_limits_postures_and_copies_fit_together(robot_of, rng, name):
 @pytest.mark.parametrize("wrong", ["", "tipp", "universe", "TIP", None, 3, "tip\x00", "a" * 10000])
 def test_unknown_names_never_reach_pinocchio(robot_of, wrong):
     """Any other name, or none, is an error of this library (Pinocchio would read out of bounds)."""
-    for ask in (robot_of("gantry").frame, robot_of("gantry").joint_index):
+    robot, tip = robot_of("gantry"), tip_of("gantry")
+    references = [lambda r, f=f: f(robot.neutral(), tip, r) for f in (robot.jacobian, robot.jacobian_and_derivative)]
+    for ask in (robot.frame, robot.joint_index, *references):
         with pytest.raises(UnknownNameError):
             ask(wrong)
 
@@ -68,7 +70,7 @@ def test_wrong_postures_are_refused(robot_of, name):
     bad = [np.zeros(n + 7), [], np.full(n, np.nan), np.full(robot.nq, np.inf), np.zeros((n, 2)), ["x"] * n, None, {}]
     ways = [(f,) for f in (robot.configuration, robot.positions, robot.velocity)]
     ways += [(f, frame) for f in (robot.pose, robot.jacobian, robot.jacobian_and_derivative)]
-    ways += [(lambda q, f=f: f(np.zeros(n), q),) for f in (robot.integrate, robot.difference)]
+    ways += [(lambda q, f=f: f(np.zeros(n), q),) for f in (robot.integrate, robot.difference, robot.inertial_effort)]
     for q, (ask, *more) in product(bad, ways):
         with pytest.raises(ConfigurationError):
             ask(q, *more)

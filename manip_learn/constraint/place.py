@@ -106,9 +106,9 @@ def mechanism_weights(names: tuple[str, ...], place: Place, radius: float | None
       :math:`a \times x + h a` of a point that a screw moves;
     - `axial`: :math:`f = a`; `across-1` and `across-2`: f is one of two fixed directions across the axis;
     - `turn`: :math:`g = a`; `turn-1` and `turn-2`: g is one of the same two directions;
-    - `slide`, `slide-1` and `slide-2`, for a direction e of these three: :math:`f = e`,
-      :math:`g = (c - p) \times e`, the velocity of the hand's point that is at c; `screw`: :math:`f = a`,
-      :math:`g = (c - p) \times a - h a`.
+    - `slide`, `slide-1` and `slide-2`: :math:`f = e`, :math:`g = (c - p) \times e`, the velocity along e of the hand's
+      point that is at c; e is the axis for `slide`, and the first or second direction across it for the others;
+      `screw`: :math:`f = a`, :math:`g = (c - p) \times a - h a`.
 
     If `radius` is given, it replaces rho and |d| in these formulas.
 

@@ -173,17 +173,19 @@ class Law:
     The task divides the rows of A into held rows and driven rows. With P the projector on the driven ones, and w the
     velocity of the null-space policy, the velocity before bounds is
 
-        u* = argmin |A u - b|^2_{1 / Lambda^2} + |u - w|^2 = w + A^T (A A^T + Lambda^2)^-1 (b - A w),
-        Lambda^2 = share^2 lambda^2 (P + h^2 (1 - P)),    share = 1 - (sigma / threshold)^2, 0 above the threshold,
+        u* = argmin |A u - b|^2_{1 / Gamma^2} + |u - w|^2 = w + A^T (A A^T + Gamma^2)^-1 (b - A w),
+        Gamma^2 = share^2 lambda^2 (P + h^2 (1 - P)),    share = 1 - (sigma / threshold)^2, 0 above the threshold,
         h = 0.1.
 
-    Above the threshold of the smallest singular value sigma of A, Lambda is 0 and u* is equation (2), exactly. Below
-    it, a direction whose singular value is less than Lambda no longer constrains the motion, and w moves the arm along
-    it: this is both the damping and the escape from the singularity. (The policy's part along such directions is at
-    most 0.2 rad/s; it fades and is 0 above 0.6 times the threshold, so that targets there are reached.)
+    Above the threshold of the smallest singular value sigma of A, the damping matrix Gamma is 0 and u* is equation (2),
+    exactly. Below it, a direction whose singular value is small compared with its damping hardly constrains the motion
+    any more, and w moves the arm along it: this is both the damping and the escape from the singularity. (The policy's
+    part along such directions is at most 0.2 rad/s; it fades and is 0 above 0.6 times the threshold, so that targets
+    there are reached.)
 
-    For an arm in motion, b is the mean velocity of the rows during the step, so that an explicit step of dt stays on
-    the path of the task: b - c replaces b, with the velocity v of the previous step and
+    For an arm in motion, b is understood as the mean velocity of the rows during the step, so that an explicit step of
+    dt stays on the path of the task. A u is therefore set to b - c instead of b, with the velocity v of the previous
+    step and
 
         c = (A(q + dt/2 v) - A(q)) v,    |c| <= STABLE_SLOPE sigma |v| / 2.
 

@@ -417,10 +417,11 @@ class KeptOrientation(SampledPolicy):
     """Null-space policy: another policy plus a pull towards the demonstrated orientation of the hand.
 
     It is for orientations that demonstrators kept by habit, so that the task does not constrain them. The pull is
-    gradient descent of theta^2 / (2 rms^2), with the angle theta from the demonstrated orientation and the deviation
-    rms of the demonstrations from it: its weight is 1 / rms^2 relative to grad log M of `RoomAscent`, with the same
-    gain. The step is implicit and therefore stable at any weight: with the rotation rows J of the hand, theta as a
-    rotation vector, and h = max(3 dt, 0.1 s) gain,
+    gradient descent of theta^2 / (2 rms^2), where theta is the angle between the orientation of the hand and the
+    demonstrated one, and rms the RMS value of that angle in the demonstrations. Its weight is 1 / rms^2 relative to
+    grad log M of `RoomAscent`, with the same gain. The step is implicit and therefore stable at any weight: with the
+    rotation rows J of the hand, theta as the rotation vector from the hand's orientation to the demonstrated one in
+    the base frame, and h = max(3 dt, 0.1 s) gain,
 
         pi = (I + h J^T J / rms^2)^-1 (pi_0 + gain J^T theta / rms^2)
 

@@ -255,8 +255,8 @@ def excitation(names: Sequence[str], u: np.ndarray) -> tuple[dict[str, float], l
         u: Array (n, nv) of joint velocities [rad/s or m/s].
 
     Returns:
-        Joint name -> share of the energy, and the names of joints with less than a millionth of it. No names are listed
-        if all joints hardly move.
+        Joint name -> share of the energy, and the names of joints with less than a millionth of it; no names if no
+        joint moves at all.
     """
     energy = np.sum(u**2, axis=0)
     shares = dict(zip(names, (energy / max(float(energy.sum()), np.finfo(np.float64).tiny)).tolist(), strict=True))

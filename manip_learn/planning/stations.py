@@ -132,11 +132,14 @@ class Stations:
         return bool(np.any(np.abs(self.rows[:, :, 3:]) > 1e-9))
 
     def with_rows(self, rows: Float[np.ndarray, "s 6"], grasp: Float[np.ndarray, "3 3"] | None = None) -> Stations:
-        """Return the same poses with other rows along which the hand must follow them.
+        """Return a copy with other rows, the same at all stations, and without a demonstrated grip.
+
+        `grip` becomes None, so any grasp orientation counts as demonstrated.
 
         Args:
             rows: Matrix (s, 6) that turns the hand's twist (v, w) into the rows, the same at all stations.
-            grasp: New orientation (3, 3) of the hand at the start; None to keep the present one.
+            grasp: Orientation (3, 3) of the hand at the start, used if a row constrains a rotation; None keeps
+                `self.grasp`.
         """
         table = np.repeat(rows[None], len(self), axis=0)
         return replace(self, rows=table, grip=None, grasp=self.grasp if grasp is None else grasp)

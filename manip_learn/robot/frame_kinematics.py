@@ -16,12 +16,20 @@ import pinocchio as pin
 from jaxtyping import Float, Int
 from numpy.typing import ArrayLike
 
+from manip_learn.errors import UnknownNameError
 from manip_learn.robot.joints import CarryingJoints, Frame, carrying_joints
 
 PINOCCHIO_REFERENCES = {"world": pin.ReferenceFrame.LOCAL_WORLD_ALIGNED, "local": pin.ReferenceFrame.LOCAL}
 DOUBLE = np.dtype(np.float64)  # in this machine's byte order
 ALL_ROWS = (0, 1, 2, 3, 4, 5)  # all rows of a twist
 DERIVATIVE_CHUNK = 256  # postures per chunk; limits the memory of dJ/dq
+
+
+def _pinocchio_reference(reference: str) -> Any:
+    """Return Pinocchio's constant for a reference; refuse another word."""
+    if reference not in ("world", "local"):
+        raise UnknownNameError("reference", reference, PINOCCHIO_REFERENCES)
+    return PINOCCHIO_REFERENCES[reference]
 
 
 def closed_form(
@@ -271,7 +279,7 @@ class FrameKinematics:
         last, checked = self._pass(), self._robot.checked_posture(q)
         last.posture = None
         x = self._configuration(checked)
-        J = pin.computeFrameJacobian(self.model, last.data, x, self._index, PINOCCHIO_REFERENCES[reference])
+        J = pin.computeFrameJacobian(self.model, last.data, x, self._index, _pinocchio_reference(reference))
         if reference == "world":  # this Jacobian also updates the frame's placement
             last.posture = checked.tobytes()
         return J if J.ndim == 2 else J.reshape(6, 1)  # nv == 1
@@ -287,7 +295,7 @@ class FrameKinematics:
             J (6, nv), and dJ/dq (6, nv, nv) with the entry [i, j, k] = d J_ij / d q_k along tangent coordinate k.
         """
         if self._fast_hessian:
-            model, index, ref = self.model, self._index, PINOCCHIO_REFERENCES[reference]
+            model, index, ref = self.model, self._index, _pinocchio_reference(reference)
             last, checked = self._pass(), self._robot.checked_posture(q)
             last.posture = None
             pin.computeJointKinematicHessians(model, last.data, self._configuration(checked))

@@ -134,7 +134,7 @@ class Robot:
             name: Name of a link or joint; a `Frame` is returned as it is.
 
         Raises:
-            UnknownNameError: The frame does not exist; lists near matches.
+            UnknownNameError: The frame or the reference does not exist; lists near matches.
         """
         if type(name) is Frame:
             return name
@@ -167,7 +167,7 @@ class Robot:
             frame: Name of the frame, or the frame.
 
         Raises:
-            UnknownNameError: The frame does not exist; lists near matches.
+            UnknownNameError: The frame or the reference does not exist; lists near matches.
         """
         tip, model = self.frame(frame), self.pinocchio_model
         links = [model.jointPlacements[j].translation for j in model.supports[tip.parent_joint] if j]
@@ -463,7 +463,7 @@ class Robot:
             frame: Name of the frame, or the frame.
 
         Raises:
-            UnknownNameError: The frame does not exist; lists near matches.
+            UnknownNameError: The frame or the reference does not exist; lists near matches.
         """
         if type(frame) is not Frame:
             frame = self.frame(frame)
@@ -479,7 +479,7 @@ class Robot:
 
         Raises:
             ConfigurationError: q has the wrong size or is not finite.
-            UnknownNameError: The frame does not exist; lists near matches.
+            UnknownNameError: The frame or the reference does not exist; lists near matches.
         """
         return self.frame_kinematics(frame).pose(q)
 
@@ -494,7 +494,7 @@ class Robot:
 
         Raises:
             ConfigurationError: q has the wrong size or is not finite.
-            UnknownNameError: The frame does not exist; lists near matches.
+            UnknownNameError: The frame or the reference does not exist; lists near matches.
         """
         return self.frame_kinematics(frame).position(q)
 
@@ -512,7 +512,7 @@ class Robot:
 
         Raises:
             ConfigurationError: q has the wrong size or is not finite.
-            UnknownNameError: The frame does not exist; lists near matches.
+            UnknownNameError: The frame or the reference does not exist; lists near matches.
         """
         return self.frame_kinematics(frame).jacobian(q, reference)
 
@@ -531,7 +531,7 @@ class Robot:
 
         Raises:
             ConfigurationError: q has the wrong size or is not finite.
-            UnknownNameError: The frame does not exist; lists near matches.
+            UnknownNameError: The frame or the reference does not exist; lists near matches.
         """
         return self.frame_kinematics(frame).jacobian_and_derivative(q, reference)
 
@@ -601,9 +601,14 @@ class Robot:
             Efforts (nv,) [N m or N]; zero for a description without masses.
 
         Raises:
-            ConfigurationError: q has the wrong size or is not finite.
+            ConfigurationError: q or the acceleration has the wrong size or is not finite.
         """
-        model, data, x, a = self.pinocchio_model, self._data, self.pinocchio_configuration(q), acceleration
+        model, data, x, a = (
+            self.pinocchio_model,
+            self._data,
+            self.pinocchio_configuration(q),
+            self.velocity(acceleration),
+        )
         lift = None if self.coupling is None else self.coupling.lift
         effort = pin.rnea(model, data, x, np.zeros(model.nv), a if lift is None else lift @ a)
         effort = effort - pin.computeGeneralizedGravity(model, data, x)
@@ -619,7 +624,7 @@ class Robot:
 
         Raises:
             ConfigurationError: The mass is negative or not finite, or the centre is not three finite numbers.
-            UnknownNameError: The frame does not exist; lists near matches.
+            UnknownNameError: The frame or the reference does not exist; lists near matches.
         """
         place = finite(centre, 3)
         if not 0.0 <= mass < math.inf or place is None:
@@ -667,7 +672,7 @@ class Robot:
 
         Raises:
             ConfigurationError: q has the wrong size or is not finite.
-            UnknownNameError: The frame does not exist; lists near matches.
+            UnknownNameError: The frame or the reference does not exist; lists near matches.
         """
         if not all(inertia.mass > 0.0 for inertia in list(self.pinocchio_model.inertias)[1:]):
             return None
