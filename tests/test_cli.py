@@ -330,6 +330,7 @@ def test_a_shell_is_offered_names_and_flags(shell, tmp_path):
 
 INTERRUPTED_AT = """
 import os, re, signal, sys
+signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background job would ignore it
 left, sys.argv = int(sys.argv[1]), ["manip-learn", *sys.argv[2:]]
 
 def interrupt(event, arguments):
