@@ -97,6 +97,9 @@ def test_learning_explains_its_words() -> None:
     lost = dataclasses.replace(report.mechanism, uncertainty={**report.mechanism.uncertainty, "axis": 1600.0})
     weak = dataclasses.replace(report, gap=9.94, held_out_residual=9e-6, mechanism=lost, uncertainty_deg=None)
     weakly = in_line(60, learning_answer(learner.constraints_, [weak]))
+    kept = "The tip can move along x. It looks like a straight line (a drawer); the hand kept its orientation."
+    once = in_line(200, learning_answer(learner.constraints_, [dataclasses.replace(report, sentence=kept)]))
+    assert once.count("straight line (a drawer)") == 1 and "The hand kept its orientation." in once
     assert "gap 9.9 (weak: 10 is clear)" in weakly and "left out less than 0.001 % of the motion" in weakly
     assert "direction not determined" in weakly and "1.6e+03" not in weakly and "1600" not in weakly
     terms = explained(in_line(60, answer, explain=True))
