@@ -56,6 +56,7 @@ TYPED = [
     ("control {door} --along 0.1", "constraint", "use --turn DEGREES"),
     ("control {table} --along 0.1", "constraint", "2 directions free ...--direction "),
     ("control {drawer} --along 0.1 --target 0.1,0.2,0.3", "target", "give one of them"),
+    ("replay sawyer drawer.json", "not-a-recording", "task file of `manip-learn learn`"),
     ("control {drawer} --target 0.1,0.2", "target", "3 numbers (x, y, z), got shape (2,) ...--rows held"),
     ("control {drawer} --target 0.1,0.2,0.3 --rows some", "target", "--rows must be all or held, not 'some'"),
     ("control {drawer} --along 0", "target", "0"),
