@@ -66,6 +66,13 @@ def run_program(*words, **options):
     return subprocess.run(words, capture_output=True, text=True, timeout=100, **options)
 
 
+def test_a_chosen_frame_is_named(answer):
+    """`learn` without `--frame` says which frame it took; with it there is nothing to say."""
+    for options, named in (((), True), (FRAME, False)):
+        notes = " ".join(answer("learn", "sawyer", *DRAWER, *options)["notes"])
+        assert ("guided frame is right_gripper_tip" in notes) is named
+
+
 def test_learn_answers_with_one_json_document(answer):
     """All keys of the contract are there, the drawer's two held rows are found, and nothing else is printed."""
     result = answer("learn", "sawyer", *DRAWER, *FRAME)

@@ -174,7 +174,7 @@ def load_to_learn(
     robot = load_for_files(options.robot, options.recordings, options)
     tip = choose_frame(robot, options.frame)
     frames = [tip] if options.relative_to is None else [tip, robot.frame(options.relative_to).name]
-    notes: list[str] = []
+    notes = [] if options.frame else [f"the guided frame is {tip}, the only likely tip; name another with --frame"]
     while True:
         try:
             loader = ml.load_demonstrations if options.dask is None else ml.RecordingSource
