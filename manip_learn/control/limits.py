@@ -12,7 +12,6 @@ from jaxtyping import Int
 from numpy.typing import ArrayLike
 
 from manip_learn.control import barriers
-from manip_learn.control.barriers import APPROACH_RATE, BRAKING_SHARE, CLEARANCE, Barriers, Obstacles
 from manip_learn.control.command import ACCELERATION, POSITION, VELOCITY, Posture, Vector
 from manip_learn.errors import ConfigurationError, TargetError
 from manip_learn.robot.collision import SelfCollision
@@ -231,8 +230,8 @@ class Limits:
         tip_box: ArrayLike | None = None,
         tip_walls: ArrayLike | None = None,
         frames: str | Sequence[str] | None = None,
-        clear_of: SelfCollision | Obstacles | None = None,
-        clearance: float = CLEARANCE,
+        clear_of: SelfCollision | barriers.Obstacles | None = None,
+        clearance: float = barriers.CLEARANCE,
     ):
         self.robot = robot
         names = robot.joint_names
@@ -245,7 +244,7 @@ class Limits:
         if not (math.isfinite(margin) and margin >= 0.0):
             raise ConfigurationError(f"margin must be a distance of at least 0, got {margin!r}")
         clear = None if clear_of is None else barriers.CollisionAvoidance(robot, clear_of, clearance)
-        self.barriers = Barriers(robot, tip_speed, tip_box, tip_walls, frames, clear)
+        self.barriers = barriers.Barriers(robot, tip_speed, tip_box, tip_walls, frames, clear)
         infinite = np.full(robot.nv, np.inf)
         self.lower = robot.position_lower + margin if position else -infinite
         self.upper = robot.position_upper - margin if position else infinite
@@ -281,7 +280,8 @@ class Limits:
     def _braking_speed(self, distance: np.ndarray, dt: float, together: float, share: float) -> np.ndarray:
         """Return brake(d), at most d / T; negative outside, where a joint returns."""
         # a joint without an acceleration limit gets a huge one, so that braking distances stay finite
-        a, rate = share * BRAKING_SHARE * np.minimum(self.acceleration, 1e12), min(APPROACH_RATE, 0.5 / dt)
+        a = share * barriers.BRAKING_SHARE * np.minimum(self.acceleration, 1e12)
+        rate = min(barriers.APPROACH_RATE, 0.5 / dt)
         joined = a / rate - 0.5 * a * dt  # speed at d1
         linear = joined / rate
         offset = linear - joined * (joined + a * dt) / (2.0 * a)
@@ -349,7 +349,7 @@ class Limits:
         """
         other, present = copy.copy(self), self.barriers
         names = tuple(dict.fromkeys([*(frame.name for frame in present.frames), *frames]))
-        other.barriers = Barriers(self.robot, speed, None, present.walls, names, present.clear)
+        other.barriers = barriers.Barriers(self.robot, speed, None, present.walls, names, present.clear)
         other.barriers.speed = min(other.barriers.speed, present.speed)
         return other
 
@@ -364,9 +364,9 @@ class Limits:
             smallest: Smallest singular value of A, in the constraint's units (m or 1).
             dt: Step [s].
         """
-        rate = min(APPROACH_RATE, 0.5 / dt) * smallest
+        rate = min(barriers.APPROACH_RATE, 0.5 / dt) * smallest
         return square * size >= min(
-            2.0 * BRAKING_SHARE * float(self.acceleration.min()) * math.sqrt(size) * smallest, rate * rate
+            2.0 * barriers.BRAKING_SHARE * float(self.acceleration.min()) * math.sqrt(size) * smallest, rate * rate
         )
 
     def freer_sense(self, q: Posture, direction: Vector) -> Vector:

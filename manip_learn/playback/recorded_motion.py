@@ -26,7 +26,7 @@ from manip_learn.recordings.velocities import derive_velocities
 from manip_learn.robot.joints import Frame
 from manip_learn.robot.robot import Robot
 
-MAX_CURVE_POINTS = 2000
+MAX_CURVE_POINTS = 2000  # of one curve: more than a screen has pixels across
 MAX_KEY_FRAMES = 18_000  # 30 per second in ten minutes
 MAX_PATH_POINTS = 1500  # about one per pixel of a drawn path
 Curve = tuple[str, np.ndarray, np.ndarray]  # name, times from the first sample [s], and values; NaN for a gap
