@@ -23,11 +23,6 @@ PLACE = {"axis": (0.3, -0.5, 0.8), "point": (0.4, 0.2, 0.3), "pitch": 0.07}
 NAN, NO_ROTATIONS = np.nan, ([1, 1, -1, 1], [0, 0, 0, 0], [2, 2, 2, 1])
 
 
-@pytest.fixture
-def panda(robot_of):
-    return robot_of("panda")
-
-
 def test_what_is_refused(robot_of, panda):
     """Unknown frames, references and rows, places that are none, functions of the wrong shape, targets of another
     size: each with what was wrong, and near names or the valid ones.

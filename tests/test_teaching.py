@@ -63,12 +63,6 @@ def test_names_do_not_run_in_the_script(tmp_path, monkeypatch):
     assert library.FrameJacobian.call_args.args[1] == tip
 
 
-@pytest.fixture
-def sawyer(robot_of):
-    """The robot of most tests."""
-    return robot_of("sawyer")
-
-
 def taught(robot: Any, kind: Any, seed: int, folder: Path, script: Any) -> tuple[Person, TeachingSession]:
     """A session in which a person does what a script says, faster than the clock."""
     person = Person(seed)
