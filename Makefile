@@ -200,10 +200,10 @@ proofs: $(VENV)/dev
 # changed since the last release; ARGS="manip_learn/linalg.py" into a file, ARGS="--draw 200" into all that computes.
 # Which tests reach which line is noted first, in build/covered (20 minutes; `make clean` forgets it)
 build/covered/seconds.json: $(VENV)/dev
-	$(BIN)/python tests/mutants.py --cover
+	$(BIN)/python benchmarks/mutants.py --cover
 
 mutants: build/covered/seconds.json
-	$(BIN)/python tests/mutants.py $(ARGS)
+	$(BIN)/python benchmarks/mutants.py $(ARGS)
 
 # known vulnerabilities of what is installed; asks the database of its index, so it needs the network
 vulnerabilities: $(VENV)/dev

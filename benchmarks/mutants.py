@@ -1,10 +1,10 @@
 """Puts small faults into a copy of the library, one at a time: do the tests notice them?
 
-    python tests/mutants.py --cover            run each test file alone and note which lines it covers (20 minutes)
-    python tests/mutants.py --draw 200         faults drawn from the rooms that compute, by their sizes
-    python tests/mutants.py                    lines changed since the last release, or the last commit
-    python tests/mutants.py --since main       lines changed since a revision
-    python tests/mutants.py manip_learn/linalg.py  whole files
+    python benchmarks/mutants.py --cover            run each test file alone and note which lines it covers (20 minutes)
+    python benchmarks/mutants.py --draw 200         faults drawn from the rooms that compute, by their sizes
+    python benchmarks/mutants.py                    lines changed since the last release, or the last commit
+    python benchmarks/mutants.py --since main       lines changed since a revision
+    python benchmarks/mutants.py manip_learn/linalg.py  whole files
 
 Each fault is tried with the test files that cover its line most, and in these with the tests that reach it. Those
 that nobody notices are listed with what the function around them promises; fewer than LEAST noticed is a failure.
