@@ -27,14 +27,8 @@ ROOT = Path(__file__).resolve().parents[1]
 DRAWER = ROOT / "examples" / "data" / "sawyer_drawer"
 TIP = "right_gripper_tip"
 # tab of a page, or page -> its arm
-ARMS = {
-    "ur": "ur5",
-    "run_on_your_arm": "ur5e",
-    "franka": "panda",
-    "xarm": "xarm7",
-    "ros2_control": "ur5",
-    "lerobot": "so101",
-}
+ARMS = {"ur": "ur5", "run_on_your_arm": "ur5e", "franka": "panda", "xarm": "xarm7", "ros2_control": "ur5"}
+ARMS["lerobot"] = "so101"
 OTHER_FORMATS = ("record_demonstrations", "file_formats")  # pages that show them
 MY_UR5E = "my_ur5e.urdf"  # description of the arm of run_on_your_arm.md
 RTDE = [f"actual_{kind}_{i}" for kind in ("q", "qd") for i in range(6)]  # columns of its recordings

@@ -9,44 +9,14 @@ from typing import Any
 import numpy as np
 import pytest
 from servo_cases import Constantly
-from test_driver import loop_of
+from test_driver import START, loop_of
+from vendor_fakes import LeRobotArm as Arm
 
 import manip_learn as ml
 from manip_learn.errors import ConfigurationError
 
-START = np.array([0.3, 0.8, 0.4])
 PERIOD = 0.01  # [s]
 STEPS = 4096  # of an encoder per turn
-
-
-class Arm:
-    """A perfect arm as LeRobot shows it: motors a, b, c and a gripper, in degrees; counts what it is asked."""
-
-    name, is_connected, simulated = "fake_follower", True, False
-
-    def __init__(self, q: np.ndarray = START, motors: tuple[str, ...] = ("joint1", "joint2", "joint3", "gripper")):
-        self.motors, self.observed, self.sent = motors, 0, []
-        self.values = dict(zip(motors, [*np.degrees(q), 37.5], strict=False))
-        self.action_features = {f"{motor}.pos": float for motor in motors}
-        self.observation_features: dict[str, Any] = {**self.action_features, "front": (480, 640, 3)}
-        self.config, self.calibration = SimpleNamespace(use_degrees=True), {}
-        self.order: list[Any] = []  # of what changes the motors
-        self.bus: Any = SimpleNamespace(
-            enable_torque=lambda motors: self.order.append(("on", motors)),
-            disable_torque=lambda motors: self.order.append(("off", motors)),
-        )
-
-    def get_observation(self) -> dict[str, Any]:
-        """Positions, and a picture that nobody needs."""
-        self.observed += 1
-        return {f"{motor}.pos": value for motor, value in self.values.items()} | {"front": None}
-
-    def send_action(self, action: dict[str, Any]) -> dict[str, Any]:
-        """Goes there at once."""
-        self.sent.append(dict(action))
-        self.order.append("goals")
-        self.values |= {key.removesuffix(".pos"): value for key, value in action.items() if key.endswith(".pos")}
-        return action
 
 
 def in_units(arm: Arm, mode: str, low: int = 1024, high: int = 3072) -> Arm:
