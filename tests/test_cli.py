@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from case import rows_in
 from recording_corpus import HEADER
 from recording_formats import table
 from test_playback import data_in
@@ -288,31 +289,15 @@ def test_no_name_controls_the_terminal(run, tmp_path):
         content = f"{header},force{EVIL}\n" + rows.replace("\n", ",0\n")
         (shown / f"{k}{EVIL}\n.csv").write_text(content, encoding="utf-8")
     Path(f"odd{EVIL}.csv").write_text(f"time,joint1,joint2{EVIL},joint3\n0,0,0,0\n", encoding="utf-8")
-    shown = (shown, "--ignore-column", f"force{EVIL}")
-    arm, tip, held = f"arm{EVIL}.urdf", ("--frame", "tip"), f"held{EVIL}.json"
-    commands = [
-        (0, "inspect", arm),
-        (2, "inspect", "evil.urdf"),
-        (0, "learn", arm, *shown, *tip, "--axes", "planar", "--reference", "world", "--out", held),
-        (2, "learn", arm, f"odd{EVIL}.csv", *tip),
-        (2, "learn", arm, *shown, *tip, "--rename", f"{EVIL}=a"),
-        (2, f"lern{EVIL}", arm),
-        (2, "inspect", arm, f"--x{EVIL}"),
-        (0, "control", arm, held, "--target", "0,0.5,0", "--duration", "1", "--out", f"run{EVIL}.csv"),
-        (2, "control", arm, held, "--policy", EVIL),
-        (0, "replay", arm, f"run{EVIL}.csv", "--constraint", held, "--html", f"p{EVIL}.html"),
-        (0, "audit", arm, held, *shown, "--csv", f"a{EVIL}.csv"),
-        (0, "export", arm, *shown, "--to", "csv", "--out", f"exported{EVIL}"),
-        (2, "export", arm, *shown, "--to", EVIL, "--out", "x"),
-    ]
-    for expected, *words in commands:
+    for expected, command in rows_in("commands_with_names.txt"):
+        words = command.format(evil=EVIL).split()
         for more in ((), ("--json",)):
             code, out, err = run(*words, *more)
-            assert code == expected, (words, err)
+            assert code == int(expected), (words, err)
             for text in (out, err, *(sentences(json.loads(out)) if more else ())):
                 controls = [c for c in text if c != "\n" and unicodedata.category(c) in ("Cc", "Cf")]
                 assert not controls, (words, text)
-            assert len(err.splitlines()) == (expected == 2), (words, err)
+            assert len(err.splitlines()) == (code == 2), (words, err)
 
 
 def sentences(content, key=""):

@@ -15,18 +15,12 @@ from manip_learn.errors import ConfigurationError
 mujoco = pytest.importorskip("mujoco")
 from manip_learn.drivers.mujoco import MuJoCoDriver  # noqa: E402
 
-PENDULUM = """
-<mujoco><option timestep="0.002" integrator="implicitfast"/><worldbody>
-<body><joint name="a" axis="0 1 0"/><geom type="capsule" fromto="0 0 0 0.4 0 0" size="0.02" mass="2"/>
-<body pos="0.4 0 0"><joint name="b" axis="0 1 0"/><geom type="capsule" fromto="0 0 0 0.3 0 0" size="0.02" mass="1"/>
-</body></body></worldbody>
-<actuator><position joint="a" kp="10"/></actuator></mujoco>
-"""
+PENDULUM = str(Path(__file__).parent / "arms" / "pendulum.xml")
 
 
 def sent_to(**options) -> np.ndarray:
     """What is read over 1.5 s of an arm that is sent 0.05 rad away."""
-    model = mujoco.MjModel.from_xml_string(PENDULUM)
+    model = mujoco.MjModel.from_xml_path(PENDULUM)
     driver, read = MuJoCoDriver(model, ("a", "b"), GOAL - 0.05, period=0.01, **options), []
     for _ in range(150):
         driver.command(GOAL, np.zeros(2))
@@ -64,7 +58,7 @@ def test_servos_follow_and_carry_the_weight():
     """Of an arm under gravity with an actuator of its own, the servos follow a slow motion to a milliradian, rest where
     they were sent, and what they exert is the weight; a joint that is not there or a wrong period is refused.
     """
-    model = mujoco.MjModel.from_xml_string(PENDULUM)
+    model = mujoco.MjModel.from_xml_path(PENDULUM)
     driver = MuJoCoDriver(model, ("b", "a"), [0.3, -0.5], period=0.01)
     for k in range(200):
         t = 0.01 * (k + 1)
