@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from case import rows_in
 
 import manip_learn as ml
 from manip_learn.control import driver
@@ -101,22 +102,6 @@ def test_a_run_ends_braked_after_its_duration(planar3):
     assert np.isfinite(record.rollout.task_error).all()
 
 
-FAULTS = {
-    "nan": "no posture",
-    "impossible": "no posture",
-    "nothing": r"read\(\) failed: TypeError",
-    "shorter": "no posture",
-    "raises": r"read\(\) failed: OSError: no cable",
-    "deaf": r"command\(\) failed: OSError: bus off",
-    "period": "period changed from 5 to 3.5 ms",
-    "stale": "same posture, or the arm is off: row 1",
-    "reordered": "row 1 of the constraint",
-    "renamed": "order of its joints has changed",
-    "Ctrl-C": "^Ctrl-C$",
-    "signal": "^Ctrl-C$",
-}
-
-
 def braked(arm: Arm, loop: ml.ServoLoop, dt: float = DT) -> bool:
     """Whether the arm was in motion and came to rest within its acceleration limits."""
     changes = np.abs(np.diff(arm.sent, axis=0, prepend=np.zeros((1, 3))))
@@ -124,14 +109,14 @@ def braked(arm: Arm, loop: ml.ServoLoop, dt: float = DT) -> bool:
     return within and bool(np.abs(arm.sent).max() > 0.1) and not arm.sent[-1].any()
 
 
-@pytest.mark.parametrize("fault", FAULTS)
-def test_whatever_the_driver_does_the_arm_brakes(fault, planar3):
+@pytest.mark.parametrize(("fault", "words"), rows_in("driver_faults.txt"))
+def test_whatever_the_driver_does_the_arm_brakes(fault, words, planar3):
     """A braked stop, one sentence, an arm that holds itself, and the collector and Ctrl-C as they were."""
     arm, loop = Arm(fault, planar3.joint_names if fault == "renamed" else None), loop_of(planar3)
     before = signal.getsignal(signal.SIGINT)
     record = ml.run(loop, arm, 2.0)
-    assert re.search(FAULTS[fault], record.ended), record.ended
-    assert record.ordered == ("Ctrl-C" in FAULTS[fault])
+    assert re.search(words, record.ended), record.ended
+    assert record.ordered == ("Ctrl-C" in words)
     assert braked(arm, loop) and record.cycles < 400
     assert arm.held == (0 if fault == "Ctrl-C" else len(arm.sent))  # which the driver itself has handled
     assert gc.isenabled() and gc.get_freeze_count() == 0

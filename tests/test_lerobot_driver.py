@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import json
 import logging
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
+from case import rows_in
 from servo_cases import Constantly
 from test_driver import START, loop_of
 from vendor_fakes import LeRobotArm as Arm
@@ -93,30 +95,15 @@ def test_spans_without_calibration():
         driver_of(arm, planar3, units="normalised")
 
 
-FEATURE = {f"{m}.pos": float for m in Arm().motors}
 SO101 = ml.load_robot("so101", locked=("gripper",))
-REFUSED = {  # words of the sentence -> changes of the arm, and options of the driver
-    "not connected: call its connect": ({"is_connected": False}, {}),
-    r"gripper of fake_follower moves no joint of planar3: .*others=\('gripper',\)": ({}, {"others": ()}),
-    "has no motor elbow: its motors are joint1": ({}, {"motors": {"elbow": "joint1"}}),
-    "joint1 has two motors, joint1 and joint2": ({}, {"motors": {"joint2": "joint1"}}),
-    "does not know the unit of motor joint1: set units=": ({"config": None}, {}),
-    "joint1 is in degrees by LeRobot's own config": ({}, {"units": "radians"}),
-    "units must be 'degrees'": ({}, {"units": "deg"}),
-    "expects x.speed: this driver can only send positions": ({"action_features": FEATURE | {"x.speed": float}}, {}),
-    "does not observe the position of motors": ({"observation_features": {}}, {}),
-    "period must be a positive number": ({}, {"period": 0.0}),
-}
 
 
-@pytest.mark.parametrize("message", REFUSED)
-def test_what_does_not_fit_is_refused_in_a_sentence(message, planar3):
+@pytest.mark.parametrize(("words", "changes", "options"), rows_in("lerobot_refused.txt"))
+def test_what_does_not_fit_is_refused_in_a_sentence(words, changes, options, planar3):
     """Motors, joints, units and numbers that do not fit: what, where, and what to do."""
-    changes, options = REFUSED[message]
-    arm = Arm()
-    vars(arm).update(changes)
-    with pytest.raises(ConfigurationError, match=message):
-        ml.LeRobotDriver(arm, planar3, **{"period": PERIOD, "others": ("gripper",), **options})
+    vars(arm := Arm()).update(json.loads(changes))
+    with pytest.raises(ConfigurationError, match=words):
+        ml.LeRobotDriver(arm, planar3, **{"period": PERIOD, "others": ("gripper",), **json.loads(options)})
 
 
 def test_motors_and_joints_that_do_not_fit(planar3):
