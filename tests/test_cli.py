@@ -30,30 +30,6 @@ DRAWER = sorted(map(str, (DATA / "sawyer_drawer").glob("*.csv")))[:6]
 FRAME = ("--frame", "right_gripper_tip")
 
 
-@pytest.fixture
-def run(capsys, monkeypatch, tmp_path):
-    """Run one command line in an empty folder: exit code, standard output, standard error."""
-    monkeypatch.chdir(tmp_path)
-
-    def call(*arguments):
-        code = main([str(a) for a in arguments])
-        return code, *capsys.readouterr()
-
-    return call
-
-
-@pytest.fixture
-def answer(run):
-    """Run one command line that succeeds: its JSON document, with nothing on standard error."""
-
-    def call(*arguments):
-        code, out, err = run(*arguments, "--json")
-        assert (code, err) == (0, "")
-        return json.loads(out)
-
-    return call
-
-
 @pytest.fixture(scope="module")
 def learnt(tmp_path_factory):
     """The constraint file of the shipped drawer."""
