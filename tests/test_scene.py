@@ -291,34 +291,22 @@ FLAT = [("revolute", "0 0 1", "0.4 0 0", "0 0 0")] * 3
 
 
 SHEET = trimesh.creation.box((0.2, 0.1, 0.0), trimesh.transformations.rotation_matrix(0.7, (1, 2, 3))).export
-ONE_LINK = {  # what is wrong with the shapes of a link -> these, what stands there, and why
-    "a flat sticker": ('<mesh filename="sheet.stl"/>', ["Convex"], ""),
-    "a box without thickness": ('<box size="0.2 0 0.1"/>', ["Box"], ""),
-    "a mesh that is missing": ('<mesh filename="gone.stl"/>', ["Capsule"], "'gone.stl' was not found"),
-    "millimetres": ('<mesh filename="large.stl"/>', ["Capsule"], 'scale="0.001 0.001 0.001" in its <mesh> says so'),
-    "millimetres twice": (
-        '<mesh filename="large.stl"/>|<mesh filename="larger.stl"/>',
-        ["Capsule"],
-        "mesh 'large.stl' (and 1 more) is 300 m long",
-    ),
-}
 
 
 @pytest.mark.parametrize("tag", ["collision", "visual"])
-@pytest.mark.parametrize("kind", ONE_LINK)
-def test_a_bad_shape_costs_its_own_link_only(tmp_path, tag, kind):
+@pytest.mark.parametrize(("elements", "stands_there", "why"), [row[1:] for row in rows_in("bad_shapes.txt")])
+def test_a_bad_shape_costs_its_own_link_only(tmp_path, tag, elements, stands_there, why):
     """A sheet is a thin body of its size; what cannot be used is replaced by a plain shape, and plans and replays say
     so in one sentence. The other links count as they are, and nobody claims that the robot has no shapes.
     """
-    elements, stands_there, why = ONE_LINK[kind]
     files = {"sheet": SHEET(file_type="stl"), "large": stl(value=300.0), "larger": stl(value=400.0)}
     for name, content in files.items():
         (tmp_path / f"{name}.stl").write_bytes(content)
     shapes = dict.fromkeys(("base", "link0", "link2"), shape('<box size="0.1 0.1 0.1"/>', tag=tag))
-    shapes["link1"] = "".join(shape(element, tag=tag) for element in elements.split("|"))
+    shapes["link1"] = "".join(shape(element, tag=tag) for element in elements.split(", "))
     robot = chain_with(tmp_path, FLAT, shapes)
     shapes = collision_shapes(robot, tag)
-    assert [type(s.geometry).__name__ for s in shapes if s.link == "link1"] == stands_there
+    assert [type(s.geometry).__name__ for s in shapes if s.link == "link1"] == [stands_there]
     cubes = {s.link for s in shapes if isinstance(s.shape, Solid) and s.shape.size == (0.1, 0.1, 0.1)}
     assert cubes == {"base", "link0", "link2"}
     planned = Clearance(robot, True, Surroundings(), robot.positions(robot.neutral())).notes
