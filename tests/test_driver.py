@@ -194,30 +194,24 @@ def test_a_driver_that_blocks_once(seconds, words, planar3):
 
 PROGRAM = """
 import signal, sys, threading, time
-import numpy as np
 import manip_learn as ml
+from test_driver import Arm, Hands, loop_of
 
 how, moving = sys.argv[1], threading.Event()
 
-class Steady:  # time passes while the cycle waits, and only then: no load makes it late
-    t = 0.0
-    def now(self):
-        return self.t
+class Steady(Hands):  # time passes while the cycle waits, and only then: no load makes it late
     def wait_until(self, moment):
-        time.sleep(max(0.0, moment - self.t))
-        self.t = max(self.t, moment)
+        time.sleep(max(0.0, moment - self.time))
+        super().wait_until(moment)
 
-class Arm:
-    period, q, n = 0.005, np.array([0.3, 0.8, 0.4]), 0
-    def read(self):
-        return self.q, None, None
+class Telling(Arm):
     def command(self, q, u):
-        self.q, self.n = q, self.n + 1
+        super().command(q, u)
         print("sent", *u, flush=True)
-        if self.n == 40:
+        if len(self.sent) == 40:
             moving.set()
-        if self.n == 40 and how == "blocks":
-            clock.t += 1.0
+        if len(self.sent) == 40 and how == "blocks":
+            clock.time += 1.0
             print("blocks", flush=True)
             time.sleep(60.0)
     def hold(self):
@@ -228,14 +222,13 @@ class Arm:
 if how == "own":
     for name in ("SIGTERM", "SIGHUP"):
         signal.signal(getattr(signal, name), lambda *_: print("own handler", flush=True))
-robot, clock = ml.load_robot("planar3"), Steady()
-rows = ml.Constraint([[0, 1]], ml.FrameJacobian(robot, "tip", axes="x y"))
-loop = ml.ServoLoop(ml.ResolvedRateController(rows, ml.PointAttractor([1.0, 1.5])), 0.005)
+loop, arm, clock = loop_of(ml.load_robot("planar3")), Telling(), Steady()
+arm.simulated = False
 if how == "thread":  # a daemon, which the end of the interpreter would kill in motion
-    threading.Thread(target=lambda: ml.run(loop, Arm(), clock=clock), daemon=True).start()
+    threading.Thread(target=lambda: ml.run(loop, arm, clock=clock), daemon=True).start()
     moving.wait(50.0)
     sys.exit()
-done = ml.run(loop, Arm(), 0.5 if how == "ignored" else 300.0, clock=clock)
+done = ml.run(loop, arm, 0.5 if how == "ignored" else 300.0, clock=clock)
 print("returned:", done.ended, flush=True)
 """
 
@@ -258,10 +251,10 @@ def test_signals_end_a_run_with_a_braked_arm_that_holds_itself(name, how, said, 
 
     Not where it was started with the signal ignored. A `command` that does not return is given up, and none is sent.
     """
-    ignore: Any = {"preexec_fn": lambda: signal.signal(signal.SIGHUP, signal.SIG_IGN)} if how == "ignored" else {}
-    words = [sys.executable, "-c", PROGRAM, how]
-    with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, **ignore) as program:
-        assert program.stdout is not None and program.stderr is not None
+    more: Any = {"preexec_fn": lambda: signal.signal(signal.SIGHUP, signal.SIG_IGN)} if how == "ignored" else {}
+    more |= {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+    more["env"] = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
+    with subprocess.Popen([sys.executable, "-c", PROGRAM, how], **more) as program:
         lines = [program.stdout.readline() for _ in range(41)]
         if name:
             program.send_signal(signal.Signals[name])
