@@ -44,6 +44,7 @@ def test_a_run_in_degrees(planar3):
     arm = Arm()
     driver = driver_of(arm, planar3)
     record = ml.run(loop_of(planar3, PERIOD), driver, 0.5)
+    assert repr(driver) == "LeRobotDriver(fake_follower, 3 joints, 10 ms)"
     assert record.ordered and arm.observed - 1 == len(arm.sent) == record.cycles
     assert {action["gripper.pos"] for action in arm.sent} == {37.5}
     sent = np.radians([[action[f"joint{i}.pos"] for i in (1, 2, 3)] for action in arm.sent])
