@@ -6,18 +6,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from case import rows_in
 from test_motion import LEARNT, learnt, screw
 from test_playback import data_in
 
 import manip_learn as ml
 from manip_learn.commands.demo import shipped_recordings
-
-WAYS = {
-    "drawer": ("--along", "0.15"),
-    "door": ("--turn", "40"),
-    "table": ("--along", "0.15", "--direction", "1,0.3,0"),
-    "screw": ("--turn", "40", "--start", "0,-0.3,0,-2,0,1.8,0.7"),
-}
 
 
 @pytest.fixture(autouse=True)
@@ -37,7 +31,8 @@ def file(tmp_path_factory):
 
 def test_a_way_is_done_as_far_as_was_asked(answer, file):
     """Within 1 mm or 0.2 degrees of the way and 2 mm of the mechanism, within all limits; the file is there."""
-    for name, way in WAYS.items():
+    for name, options in rows_in("ways_along.txt"):
+        way = options.split()
         said = answer("control", *file(name), *way, "--out", f"{name}.npz")
         assert (said["stopped_by"], said["reached"]) == (None, True), name
         assert said["wanted"] == float(way[1]) and said["unit"] == ("m" if way[0] == "--along" else "deg")

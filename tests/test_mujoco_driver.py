@@ -56,8 +56,8 @@ def test_what_is_read_of_a_used_arm():
 
 def test_servos_follow_and_carry_the_weight(monkeypatch):
     """Of an arm under gravity with an actuator of its own, the servos follow a slow motion to a milliradian, rest where
-    they were sent, and what they exert is the weight; a joint that is not there or no hinge, a wrong period and a missing
-    MuJoCo are refused.
+    they were sent, and what they exert is the weight; a joint that is not there or no hinge, a wrong period and
+    a missing MuJoCo are refused.
     """
     model = mujoco.MjModel.from_xml_path(PENDULUM)
     driver = MuJoCoDriver(model, ("b", "a"), [0.3, -0.5], period=0.01)

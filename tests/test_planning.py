@@ -9,6 +9,7 @@ from itertools import pairwise, product
 
 import numpy as np
 import pytest
+from case import DATA
 from conftest import chain_with
 from random_arms import random_tree
 
@@ -239,13 +240,9 @@ STATIONS = 100  # at which a straight motion is checked
 NO_ROBOPLAN = "NO ROBOPLAN: PATHS ROUND WHAT IS IN THE WAY ARE NOT TESTED (the extra 'plan')"
 
 
-def around(robot: ml.Robot, size: float = 1.0) -> tuple[Obstacle, ...]:
+def around(robot: ml.Robot) -> tuple[Obstacle, ...]:
     """A box before the arm, a ball and a tube beside it."""
-    return ml.Scene(
-        boxes=[ml.Box((0.3 * size, 0.5 * size, 0.6 * size), (0.5 * size, 0.0, 0.3 * size), "box")],
-        spheres=[ml.Sphere(0.1 * size, (-0.4 * size, 0.4 * size, 0.6 * size), "ball")],
-        cylinders=[ml.Cylinder(0.05 * size, 0.8 * size, (-0.3 * size, -0.5 * size, 0.4 * size), "tube")],
-    ).obstacles(robot)
+    return ml.Scene.load(DATA / "around_an_arm.json").obstacles(robot)
 
 
 def blocked(
