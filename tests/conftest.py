@@ -157,16 +157,14 @@ def planar3() -> Robot:
 
 
 @pytest.fixture
-def run(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> Callable[..., tuple[int, str, str]]:
+def run(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Callable[..., Any]:
     """Runs one command line in an empty folder: exit code, standard output, standard error."""
     monkeypatch.chdir(tmp_path)
     return lambda *words: (main([str(word) for word in words]), *capsys.readouterr())
 
 
 @pytest.fixture
-def answer(run: Callable[..., tuple[int, str, str]]) -> Callable[..., Any]:
+def answer(run: Callable[..., Any]) -> Callable[..., Any]:
     """Runs one command line that succeeds: its JSON document, with nothing on standard error."""
 
     def call(*words: object) -> Any:

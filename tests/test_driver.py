@@ -245,6 +245,7 @@ def test_signals_end_a_run_with_a_braked_arm_that_holds_itself(name, how, said, 
     more |= {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
     more["env"] = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
     with subprocess.Popen([sys.executable, "-c", PROGRAM, how], **more) as program:
+        assert program.stdout is not None and program.stderr is not None
         lines = [program.stdout.readline() for _ in range(41)]
         if name:
             program.send_signal(signal.Signals[name])

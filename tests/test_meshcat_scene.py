@@ -38,7 +38,7 @@ class Notebook:
 def door() -> tuple[ml.Robot, ml.Demonstrations, ml.Constraint]:
     """A UR5, a door and what was learnt of it."""
     constraint = learnt_from("ur5_loose_door").constraint_
-    return constraint.robot, shipped("ur5_loose_door")[1], constraint
+    return constraint.features.robot, shipped("ur5_loose_door")[1], constraint
 
 
 def test_the_scene_is_the_arm_and_what_was_learnt(door):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import runpy
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -76,12 +77,13 @@ def test_servos_follow_and_carry_the_weight(monkeypatch):
     assert effort[0] == pytest.approx(-9.81 * lever[1], abs=0.05)
     assert effort[1] == pytest.approx(-9.81 * (lever[0] + lever[0] + lever[1]), abs=0.1)
     text = Path(PENDULUM).read_text(encoding="utf-8").replace('name="b" axis="0 1 0"', 'name="b" type="ball"')
-    for made, second, options, words in (
+    refused: Any = (
         (model, "elbow", {}, "no joint elbow; it has a, b"),
         (model, "b", {"period": 0.003}, "multiple of the model's time step of 2 ms, got 3 ms"),
         (model, "b", {"delay": 0.003}, "latency must be a multiple .* got 3 ms"),  # a former name, until 0.4
         (mujoco.MjModel.from_xml_string(text), "b", {}, "must be a hinge or a slide"),
-    ):
+    )
+    for made, second, options, words in refused:
         with pytest.raises(ConfigurationError, match=words):
             MuJoCoDriver(made, ("a", second), [0.0, 0.0], **options)
     monkeypatch.setitem(sys.modules, "mujoco", None)

@@ -175,7 +175,8 @@ class LeRobotArm:
         self.values = dict(zip(motors, [*np.degrees(q), 37.5], strict=False))
         self.action_features = {f"{motor}.pos": float for motor in motors}
         self.observation_features: dict[str, Any] = {**self.action_features, "front": (480, 640, 3)}
-        self.config, self.calibration = SimpleNamespace(use_degrees=True), {}
+        self.config: Any = SimpleNamespace(use_degrees=True)
+        self.calibration: dict[str, Any] = {}
         self.order: list[Any] = []  # of what changes the motors
         self.bus: Any = SimpleNamespace(
             enable_torque=lambda motors: self.order.append(("on", motors)),
