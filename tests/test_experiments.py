@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,7 @@ from numpy.random import Generator
 from numpy.testing import assert_allclose
 
 from manip_learn.constraint.features import FrameJacobian
-from manip_learn.errors import ExperimentError, OutputError, UnknownNameError
+from manip_learn.errors import ExperimentError, MissingExtraError, OutputError, UnknownNameError
 from manip_learn.experiments import reproduce, sawyer, singular_starts, table
 from manip_learn.experiments.metrics import manipulability_along, mie, nmie, policy_rmse, scale_free_nmie
 from manip_learn.experiments.paper_setup import PAPER_NMIE, SELECTIONS, Setup
@@ -70,12 +71,16 @@ def test_what_is_asked_for_is_checked_before_anything_is_written(tmp_path):
         reproduce("rmse", trials=1, out=tmp_path / "thesis.docx")
 
 
-def test_files_of_an_experiment(tmp_path):
-    """Numbers and figures are written, the same bytes every time; the JSON is what the call returned."""
-    out, seen = tmp_path / "out", []
-    answer = reproduce("rmse", trials=1, seed=5, out=out, workers=1, on_result=lambda *found: seen.append(found))
+def test_files_of_an_experiment(tmp_path, monkeypatch):
+    """Numbers and figures are written, the same bytes every time; the JSON is what the call returned. An extra that is
+    missing is named.
+    """
+    out, seen, done = tmp_path / "out", [], []
+    heard = {"on_result": lambda *found: seen.append(found), "progress": lambda name, share: done.append(share)}
+    answer = reproduce("rmse", trials=1, seed=5, out=out, workers=1, **heard)
     content = json.loads((out / "rmse.json").read_text())
     assert content["result"] == answer["rmse"] and content["settings"] == {"trials": 1, "seed": 5}
+    assert done == sorted(done) and done[-1] == 1.0
     ((part, result),) = seen
     assert (part, result.to_dict()) == ("rmse", answer["rmse"])
     write_result("rmse", result, tmp_path / "again", content["settings"])
@@ -85,6 +90,10 @@ def test_files_of_an_experiment(tmp_path):
     header, *lines = list(csv.reader((out / "rmse.csv").read_text().splitlines()))
     assert header[:3] == ["case", "trial", "joint-affine.two_policies"] and [line[0] for line in lines] == [*SELECTIONS]
     assert json.loads(lines[0][2]) == result.outcomes["x y"][0]["joint-affine"]["two_policies"]
+    for module, made in (("joblib", lambda: run("dice", throw, Setup(), 2, 3, 2)), ("matplotlib", result.figures)):
+        monkeypatch.setitem(sys.modules, module, None)
+        with pytest.raises(MissingExtraError, match=r"manip_learn\[experiments\]"):
+            made()
 
 
 def written(name: str, result: Any, folder: Path) -> str:

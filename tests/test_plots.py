@@ -89,8 +89,8 @@ def test_a_figure_for_the_column_of_a_paper(runs):
         assert {text.get_fontsize() for text in texts} <= {8.0}
     with pytest.raises(ManipLearnError, match="style must be one of 'page', 'column', not 'poster'"):
         plots.gap(report, style="poster")  # type: ignore[arg-type]
-    with pytest.raises(ManipLearnError, match="give the report of a learner"):
-        plots.gap(runs)  # type: ignore[arg-type]
+    with pytest.raises(ManipLearnError, match="give the report of a learner.*not the class Robot"):
+        plots.gap(ml.Robot)  # type: ignore[arg-type]
 
 
 def test_gap_and_evidence_show_the_numbers_of_the_report(ax):

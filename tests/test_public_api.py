@@ -28,7 +28,7 @@ def test_names_exist_and_are_documented():
     things = {name: getattr(ml, name) for name in ml.__all__}
     assert not [name for name, thing in things.items() if inspect.ismodule(thing) or not inspect.getdoc(thing)]
     assert list(ml.__all__) == sorted(set(ml.__all__))
-    assert dir(ml) == sorted([*ml.__all__, "__version__"])
+    assert dir(ml) == sorted([*ml.__all__, "__version__"]) and re.match(r"\d+\.\d+\.\d+", ml.__version__)
 
 
 def test_unknown_and_removed_names_are_attribute_errors():
