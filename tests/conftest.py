@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import shutil
 from collections.abc import Callable, Iterator
@@ -24,6 +25,7 @@ if os.environ.get("CHECK_SHAPES", "0") != "0":
 
 import numpy as np  # noqa: E402
 
+from manip_learn.cli import main  # noqa: E402
 from manip_learn.robot.loading import load_robot  # noqa: E402
 from manip_learn.robot.robot import Robot  # noqa: E402
 
@@ -152,6 +154,25 @@ def panda(robot_of: Callable[[str], Robot]) -> Robot:
 def planar3() -> Robot:
     """The shipped three-joint arm."""
     return load_robot("planar3")
+
+
+@pytest.fixture
+def run(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Callable[..., Any]:
+    """Runs one command line in an empty folder: exit code, standard output, standard error."""
+    monkeypatch.chdir(tmp_path)
+    return lambda *words: (main([str(word) for word in words]), *capsys.readouterr())
+
+
+@pytest.fixture
+def answer(run: Callable[..., Any]) -> Callable[..., Any]:
+    """Runs one command line that succeeds: its JSON document, with nothing on standard error."""
+
+    def call(*words: object) -> Any:
+        code, out, err = run(*words, "--json")
+        assert (code, err) == (0, "")
+        return json.loads(out)
+
+    return call
 
 
 @pytest.fixture(scope="module")

@@ -7,9 +7,10 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
+from markdown_it import MarkdownIt
+
 # <!-- not run: why --> on the line before a block
 SKIPPED = re.compile(r"<!-- not run: (.+?) -->\s*$")
-FENCE = re.compile(r"^```(\S*)")
 # a tab with a key (`:sync: ur`), as MyST writes it between colons
 TAB = re.compile(r"^(:{3,})\{tab-item\}")
 SYNC = re.compile(r"^:sync: (\S+)$")
@@ -51,28 +52,20 @@ class Block:
 
 def blocks(page: Path) -> Iterator[Block]:
     """Yield all fenced blocks of a page, and indented lines that are commands of this program."""
-    lines = page.read_text(encoding="utf-8").splitlines()
-    number, previous, tab, colons = 0, "", "", ""
-    while number < len(lines):
-        if opening := TAB.match(lines[number]):
-            key = next((found for line in lines[number + 1 : number + 4] if (found := SYNC.match(line))), None)
-            tab, colons = (key[1], opening[1]) if key else ("", "")
-        elif tab and lines[number].strip() == colons:
-            tab = ""
-        skipped = SKIPPED.search(previous)
+    tab = colons = reason = ""
+    for token in MarkdownIt().parse(page.read_text(encoding="utf-8")):
+        for line in token.content.splitlines() if token.type == "inline" else ():
+            if opening := TAB.match(line):
+                tab, colons = "", opening[1]
+            elif key := SYNC.match(line):
+                tab = key[1]
+            elif line == colons:
+                tab = ""
+        if token.map and (token.type == "fence" or token.content.startswith("manip-learn ")):
+            language = token.info.partition(" ")[0]
+            yield Block(page, token.map[0] + 1 + len(token.markup[:1]), language, token.content, reason, tab)
+        skipped = SKIPPED.search(token.content) if token.type == "html_block" else None
         reason = skipped[1] if skipped else ""
-        fence = FENCE.match(lines[number])
-        if fence:
-            end = next((i for i in range(number + 1, len(lines)) if lines[i].strip() == "```"), -1)
-            assert end > 0, f"{page}:{number + 1}: a block without an end"
-            yield Block(page, number + 2, fence[1], "\n".join(lines[number + 1 : end]) + "\n", reason, tab)
-            number = end
-        elif lines[number].startswith("    manip-learn "):
-            yield Block(page, number + 1, "", lines[number] + "\n", reason, tab)
-            number += 1
-            continue
-        previous = lines[number]
-        number += 1
 
 
 def tabs(page: Path) -> list[str]:

@@ -27,14 +27,8 @@ ROOT = Path(__file__).resolve().parents[1]
 DRAWER = ROOT / "examples" / "data" / "sawyer_drawer"
 TIP = "right_gripper_tip"
 # tab of a page, or page -> its arm
-ARMS = {
-    "ur": "ur5",
-    "run_on_your_arm": "ur5e",
-    "franka": "panda",
-    "xarm": "xarm7",
-    "ros2_control": "ur5",
-    "lerobot": "so101",
-}
+ARMS = {"ur": "ur5", "run_on_your_arm": "ur5e", "franka": "panda", "xarm": "xarm7", "ros2_control": "ur5"}
+ARMS["lerobot"] = "so101"
 OTHER_FORMATS = ("record_demonstrations", "file_formats")  # pages that show them
 MY_UR5E = "my_ur5e.urdf"  # description of the arm of run_on_your_arm.md
 RTDE = [f"actual_{kind}_{i}" for kind in ("q", "qd") for i in range(6)]  # columns of its recordings
@@ -158,10 +152,7 @@ def write_other_formats(folder: Path) -> None:
     recordings = sorted(str(path) for path in (folder / "recordings").glob("*.csv"))
     for files, out in ((recordings[:1], "bag.mcap"), (recordings, "data_set")):
         assert main(["export", str(folder / "my_arm.urdf"), *files, "--out", str(folder / out)]) == 0
-    header, *rows = Path(recordings[0]).read_text(encoding="utf-8").splitlines()
-    names = header.replace("time", "stamp").replace("right_j0", "shoulder_pan")
-    lines = [f"{names},battery"]
-    for line in rows:
-        time, *q = map(float, line.split(","))
-        lines.append(",".join([f"{1e3 * time:.3f}", *(f"{np.degrees(x):.6f}" for x in q), "24.1"]))
-    (folder / "foreign.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
+    (time, *q), names = np.loadtxt(recordings[0], delimiter=",", skiprows=1).T, arm_named("sawyer").joint_names
+    header = ",".join(["stamp", "shoulder_pan", *names[1:], "battery"])
+    rows = np.column_stack([1e3 * time, np.degrees(q).T, np.full(len(time), 24.1)])
+    np.savetxt(folder / "foreign.csv", rows, "%.6f", ",", header=header, comments="")

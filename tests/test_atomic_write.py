@@ -10,6 +10,7 @@ import tempfile
 from pathlib import Path
 
 import pytest
+from case import rows_in
 
 import manip_learn as ml
 from manip_learn.atomic_write import write_atomically
@@ -121,22 +122,14 @@ def test_a_full_disk_is_named_and_leaves_no_file(tmp_path):
     rollout = ml.simulate(arm, ml.ResolvedRateController(constraint), [0.1, 0.5, 0.5], 0.5, 0.05)
     (tmp_path / "p.html").write_text("old")
     inputs = {"line.json", "p.html", *(rollout.save(tmp_path / f"run.{end}").name for end in ("npz", "csv"))}
-    written = {
-        "c.json": f"learn planar3 {DATA}/planar3_reach --frame tip --axes planar --out c.json",
-        **{f"r{e}": f"control planar3 line.json --duration 0.1 --out r{e}" for e in (".npz", ".csv", ".mcap")},
-        "p.html": "replay planar3 run.npz --html p.html",
-        "a.csv": "audit planar3 line.json run.csv --csv a.csv",
-        **{f"x{e}": f"export planar3 run.npz --out x{e}" for e in (".mcap", ".csv", ".yaml")},
-        "set/": "export planar3 run.npz --to lerobot --out set",
-        "figures": "reproduce singular-start --out figures",
-    }
+    written = {file: command.format(data=DATA) for file, command in rows_in("commands_that_write.txt")}
     lines, program = "\n".join(written.values()), [sys.executable, "-c", NO_ROOM]
     done = subprocess.run(program, input=lines, cwd=tmp_path, capture_output=True, text=True, timeout=300)
     answers = [line for line in done.stderr.splitlines() if line.startswith(("manip-learn: ", "exit code"))]
     assert len(answers) == 2 * len(written), done.stderr
     for (file, command), sentence, code in zip(written.items(), answers[::2], answers[1::2], strict=True):
         assert code == "exit code 2" and sentence.startswith("manip-learn: cannot write"), (command, sentence)
-        where = tempfile.gettempdir() if file.endswith(".mcap") else tmp_path / file.rstrip("/")
+        where = tempfile.gettempdir() if file.endswith(".mcap") else tmp_path / file
         assert str(where) in sentence and "File too large; make room" in sentence, sentence
     assert {p.name for p in tmp_path.rglob("*") if p.is_file()} == inputs
     assert (tmp_path / "p.html").read_text() == "old"

@@ -2,38 +2,22 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import numpy as np
 import pytest
+from case import rows_in
 from test_motion import LEARNT, learnt, screw
 from test_playback import data_in
 
 import manip_learn as ml
-from manip_learn.cli import main
 from manip_learn.commands.demo import shipped_recordings
 
-WAYS = {
-    "drawer": ("--along", "0.15"),
-    "door": ("--turn", "40"),
-    "table": ("--along", "0.15", "--direction", "1,0.3,0"),
-    "screw": ("--turn", "40", "--start", "0,-0.3,0,-2,0,1.8,0.7"),
-}
 
-
-@pytest.fixture
-def run(capsys, monkeypatch, tmp_path):
-    """Run one command line in an empty folder: exit code, standard output, standard error."""
-    monkeypatch.chdir(tmp_path)
+@pytest.fixture(autouse=True)
+def wide(monkeypatch):
+    """A terminal on which no line is broken."""
     monkeypatch.setenv("COLUMNS", "200")
-
-    def call(*arguments):
-        code = main([str(a) for a in arguments])
-        out, err = capsys.readouterr()
-        return code, " ".join(out.split()), err
-
-    return call
 
 
 @pytest.fixture(scope="module")
@@ -45,17 +29,17 @@ def file(tmp_path_factory):
     return lambda name: (LEARNT.get(name, ("", "panda"))[1], made[name])
 
 
-def test_a_way_is_done_as_far_as_was_asked(run, file):
+def test_a_way_is_done_as_far_as_was_asked(answer, file):
     """Within 1 mm or 0.2 degrees of the way and 2 mm of the mechanism, within all limits; the file is there."""
-    for name, way in WAYS.items():
-        code, out, err = run("control", *file(name), *way, "--out", f"{name}.npz", "--json")
-        answer = json.loads(out)
-        assert (code, err, answer["stopped_by"], answer["reached"]) == (0, "", None, True), name
-        assert answer["wanted"] == float(way[1]) and answer["unit"] == ("m" if way[0] == "--along" else "deg")
-        assert abs(answer["done"] - answer["wanted"]) < (1e-3 if answer["unit"] == "m" else 0.2), name
-        assert 0.0 <= answer["deviation"] < 2e-3 and answer["fastest_joint"]["share_of_limit"] <= 1.0, name
-        r = ml.Rollout.load(answer["out"])
-        assert (answer["min_manipulability"], answer["duration"]) == (r.manipulability.min(), r.time[-1]), name
+    for name, options in rows_in("ways_along.txt"):
+        way = options.split()
+        said = answer("control", *file(name), *way, "--out", f"{name}.npz")
+        assert (said["stopped_by"], said["reached"]) == (None, True), name
+        assert said["wanted"] == float(way[1]) and said["unit"] == ("m" if way[0] == "--along" else "deg")
+        assert abs(said["done"] - said["wanted"]) < (1e-3 if said["unit"] == "m" else 0.2), name
+        assert 0.0 <= said["deviation"] < 2e-3 and said["fastest_joint"]["share_of_limit"] <= 1.0, name
+        r = ml.Rollout.load(said["out"])
+        assert (said["min_manipulability"], said["duration"]) == (r.manipulability.min(), r.time[-1]), name
 
 
 def typed(**places):
@@ -63,7 +47,7 @@ def typed(**places):
     return [f"--{name}={','.join(map(str, numbers))}" for name, numbers in places.items()]
 
 
-def test_a_target_is_the_point(run, file):
+def test_a_target_is_the_point(run, answer, file):
     """The tip goes to the point, across what is held too, and with --rows held to the line through it; words say so. A
     point beside a hinge is an angle: the handle comes as near to it as its circle allows.
     """
@@ -71,10 +55,10 @@ def test_a_target_is_the_point(run, file):
     q0 = np.array(constraint.provenance["postures"][0])
     here, free = constraint.robot.position(q0, constraint.features.frame), np.linalg.svd(constraint.selection)[2][2]
     along, rows = typed(start=q0, target=here + 0.1 * free), ("--rows", "held", "--policy", "zero")
-    answer = json.loads(run("control", *file("drawer"), *along, "--json")[1])
-    assert answer["reached"] is True and answer["tip_to_target"] < 0.01 and answer["ignored_target_axes"] == []
-    answer = json.loads(run("control", *file("drawer"), *along, *rows, "--json")[1])
-    assert answer["reached"] is False and answer["final_error"] < 0.01 < answer["tip_to_target"]
+    said = answer("control", *file("drawer"), *along)
+    assert said["reached"] is True and said["tip_to_target"] < 0.01 and said["ignored_target_axes"] == []
+    said = answer("control", *file("drawer"), *along, *rows)
+    assert said["reached"] is False and said["final_error"] < 0.01 < said["tip_to_target"]
     across = typed(start=q0, target=here + 0.05 * constraint.selection[0])
     for options, begins, says in (
         (along, "at the target", ""),
@@ -86,9 +70,8 @@ def test_a_target_is_the_point(run, file):
     constraint, _ = learnt("door")
     start, *_, near = constraint.provenance["postures"][:21]
     point = constraint.robot.position(np.array(near), constraint.features.frame)
-    _code, out, err = run("control", *file("door"), *typed(start=start, target=point), "--json")
-    answer = json.loads(out)
-    assert err == "" and answer["stopped_by"] is None and answer["unit"] == "deg"
+    said = answer("control", *file("door"), *typed(start=start, target=point))
+    assert said["stopped_by"] is None and said["unit"] == "deg"
 
 
 def test_by_default_the_hand_moves_as_far_as_demonstrated(run, file, tmp_path):
@@ -116,17 +99,16 @@ def test_the_printed_next_command_works(run, robot, recordings, options):
     assert code == 0 and any(words in out for words in completed), (out, err)
 
 
-def test_the_demo_shows_the_difference(run):
+def test_the_demo_shows_the_difference(run, answer):
     """From one start the learnt task goes as far as demonstrated, and at most a third as far without it, on one clock;
     other robots and all policies that the help names can be asked for.
     """
-    code, out, _err = run("demo", "--no-browser", "--json")
-    answer = json.loads(out)
-    plain, learnt_ = (answer["rollouts"][name] for name in ("without", "with"))
-    assert code == 0 and abs(learnt_["wanted"] - 0.232) < 1e-3  # the median that was shown
+    said = answer("demo", "--no-browser")
+    plain, learnt_ = (said["rollouts"][name] for name in ("without", "with"))
+    assert abs(learnt_["wanted"] - 0.232) < 1e-3  # the median that was shown
     assert learnt_["done"] >= 0.97 * learnt_["wanted"] and plain["done"] <= plain["wanted"] / 3.0
     assert plain["stopped_by"] and learnt_["stopped_by"] is None and learnt_["deviation"] < 1e-3
-    page = data_in(Path(answer["html"]))
+    page = data_in(Path(said["html"]))
     grasps = [r["phases"][-1][0] if r["phases"] else page["zero"] for r in page["rollouts"]]
     assert grasps == pytest.approx([page["zero"]] * 2, abs=0.02)  # one clock from the grasp
     for more, names in (

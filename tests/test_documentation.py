@@ -1,10 +1,13 @@
-"""The documentation: the reference has every public name, examples run, and the map of the equations is right."""
+"""The documentation: the reference has every public name, examples run, maps, figures and stated forces are right."""
 
 from __future__ import annotations
 
 import ast
+import csv
 import doctest
 import re
+import runpy
+import shutil
 from pathlib import Path
 
 import pytest
@@ -80,3 +83,39 @@ def defined(tree: ast.Module) -> set[str]:
     classes = [node for node in tree.body if isinstance(node, ast.ClassDef)]
     methods = {f"{c.name}.{f.name}" for c in classes for f in c.body if isinstance(f, ast.FunctionDef)}
     return methods | {node.name for node in tree.body if isinstance(node, ast.FunctionDef)}
+
+
+def test_each_figure_is_drawn_from_its_table(tmp_path):
+    """The script that draws the pictures of the pages of figures makes each picture that is there."""
+    pytest.importorskip("matplotlib", reason="the extra 'experiments' is not installed")
+    shutil.copytree(DOCS / "figures", here := tmp_path / "figures", ignore=shutil.ignore_patterns("*.svg"))
+    runpy.run_path(str(here / "plot.py"), run_name="__main__")
+    assert {p.name for p in here.glob("*.svg")} == {p.name for p in (DOCS / "figures").glob("*.svg")}
+
+
+ARM_PAGES = [DOCS / f"{name}.md" for name in ("arms", "run_on_your_arm", "control")]
+
+
+@pytest.mark.parametrize("page", [*ARM_PAGES, ROOT / "SECURITY.md"], ids=lambda page: page.stem)
+def test_a_detected_force_is_told_from_what_is_measured(page):
+    """15 N across is what a loop detects; the larger forces that are measured stand in a sentence of their own."""
+    with (DOCS / "figures" / "servos_jams.csv").open(encoding="utf-8") as file:
+        rows = {row["speed [m/s]"]: row for row in csv.DictReader(file) if row["driven [N]"] == "60"}
+    text = " ".join(page.read_text(encoding="utf-8").split())
+    detects = [sentence for sentence in re.split(r"(?<=[a-z])[.:] ", text) if "15 N across" in sentence]
+    assert detects and all("detects" in sentence and "88 N" not in sentence for sentence in detects)
+    for speed in ("0.06", "0.25"):
+        median, worst = rows[speed]["largest, median and worst [N]"].split(", ")
+        assert re.search(rf"{median} N \({worst}( at worst)?\) at {speed} m/s", text), (page, speed)
+
+
+@pytest.mark.parametrize("page", ["arms", "run_on_your_arm"])
+def test_a_stand_in_is_not_called_a_simulation(page):
+    """What goes at once where it is sent has no dynamics: the page says so at its head, and each tab of such an arm."""
+    text = (DOCS / f"{page}.md").read_text(encoding="utf-8")
+    head = " ".join(text.partition("\n## ")[0].split())
+    assert "without dynamics" in head and "ried only in simulation" not in head and "in simulation only" not in head
+    if page == "arms":
+        for arm in ("ur", "xarm", "lerobot", "ros2_control"):
+            first_words = text.partition(f"\n:sync: {arm}\n")[2].partition("```")[0]
+            assert "without dynamics" in first_words, arm

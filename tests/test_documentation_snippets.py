@@ -110,15 +110,3 @@ def test_an_output_is_compared_in_words_and_numbers():
         ("learnt from 16361 samples\n...\ngap 308", False),
     ):
         assert (not differences(shown, printed)) is same, shown
-
-
-def test_a_tab_has_its_blocks(tmp_path):
-    """A block between the colons of a tab with a key belongs to it; a tab without a key counts as the page."""
-    fence = "```python\npass\n```\n"
-    keyed = "".join(f":::{{tab-item}} {key}\n:sync: {key}\n\n{fence}:::\n\n" for key in ("ur", "franka"))
-    page = tmp_path / "page.md"
-    page.write_text(
-        f"{fence}::::{{tab-set}}\n\n{keyed}:::{{tab-item}} any\n{fence}:::\n::::\n{fence}", encoding="utf-8"
-    )
-    assert [block.tab for block in blocks(page)] == ["", "ur", "franka", "", ""]
-    assert tabs(page) == ["ur", "franka"]

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from case import rows_in
 
 import manip_learn as ml
 from manip_learn.control import driver
@@ -101,22 +102,6 @@ def test_a_run_ends_braked_after_its_duration(planar3):
     assert np.isfinite(record.rollout.task_error).all()
 
 
-FAULTS = {
-    "nan": "no posture",
-    "impossible": "no posture",
-    "nothing": r"read\(\) failed: TypeError",
-    "shorter": "no posture",
-    "raises": r"read\(\) failed: OSError: no cable",
-    "deaf": r"command\(\) failed: OSError: bus off",
-    "period": "period changed from 5 to 3.5 ms",
-    "stale": "same posture, or the arm is off: row 1",
-    "reordered": "row 1 of the constraint",
-    "renamed": "order of its joints has changed",
-    "Ctrl-C": "^Ctrl-C$",
-    "signal": "^Ctrl-C$",
-}
-
-
 def braked(arm: Arm, loop: ml.ServoLoop, dt: float = DT) -> bool:
     """Whether the arm was in motion and came to rest within its acceleration limits."""
     changes = np.abs(np.diff(arm.sent, axis=0, prepend=np.zeros((1, 3))))
@@ -124,14 +109,14 @@ def braked(arm: Arm, loop: ml.ServoLoop, dt: float = DT) -> bool:
     return within and bool(np.abs(arm.sent).max() > 0.1) and not arm.sent[-1].any()
 
 
-@pytest.mark.parametrize("fault", FAULTS)
-def test_whatever_the_driver_does_the_arm_brakes(fault, planar3):
+@pytest.mark.parametrize(("fault", "words"), rows_in("driver_faults.txt"))
+def test_whatever_the_driver_does_the_arm_brakes(fault, words, planar3):
     """A braked stop, one sentence, an arm that holds itself, and the collector and Ctrl-C as they were."""
     arm, loop = Arm(fault, planar3.joint_names if fault == "renamed" else None), loop_of(planar3)
     before = signal.getsignal(signal.SIGINT)
     record = ml.run(loop, arm, 2.0)
-    assert re.search(FAULTS[fault], record.ended), record.ended
-    assert record.ordered == ("Ctrl-C" in FAULTS[fault])
+    assert re.search(words, record.ended), record.ended
+    assert record.ordered == ("Ctrl-C" in words)
     assert braked(arm, loop) and record.cycles < 400
     assert arm.held == (0 if fault == "Ctrl-C" else len(arm.sent))  # which the driver itself has handled
     assert gc.isenabled() and gc.get_freeze_count() == 0
@@ -209,30 +194,24 @@ def test_a_driver_that_blocks_once(seconds, words, planar3):
 
 PROGRAM = """
 import signal, sys, threading, time
-import numpy as np
 import manip_learn as ml
+from test_driver import Arm, Hands, loop_of
 
 how, moving = sys.argv[1], threading.Event()
 
-class Steady:  # time passes while the cycle waits, and only then: no load makes it late
-    t = 0.0
-    def now(self):
-        return self.t
+class Steady(Hands):  # time passes while the cycle waits, and only then: no load makes it late
     def wait_until(self, moment):
-        time.sleep(max(0.0, moment - self.t))
-        self.t = max(self.t, moment)
+        time.sleep(max(0.0, moment - self.time))
+        super().wait_until(moment)
 
-class Arm:
-    period, q, n = 0.005, np.array([0.3, 0.8, 0.4]), 0
-    def read(self):
-        return self.q, None, None
+class Telling(Arm):
     def command(self, q, u):
-        self.q, self.n = q, self.n + 1
+        super().command(q, u)
         print("sent", *u, flush=True)
-        if self.n == 40:
+        if len(self.sent) == 40:
             moving.set()
-        if self.n == 40 and how == "blocks":
-            clock.t += 1.0
+        if len(self.sent) == 40 and how == "blocks":
+            clock.time += 1.0
             print("blocks", flush=True)
             time.sleep(60.0)
     def hold(self):
@@ -243,29 +222,18 @@ class Arm:
 if how == "own":
     for name in ("SIGTERM", "SIGHUP"):
         signal.signal(getattr(signal, name), lambda *_: print("own handler", flush=True))
-robot, clock = ml.load_robot("planar3"), Steady()
-rows = ml.Constraint([[0, 1]], ml.FrameJacobian(robot, "tip", axes="x y"))
-loop = ml.ServoLoop(ml.ResolvedRateController(rows, ml.PointAttractor([1.0, 1.5])), 0.005)
+loop, arm, clock = loop_of(ml.load_robot("planar3")), Telling(), Steady()
+arm.simulated = False
 if how == "thread":  # a daemon, which the end of the interpreter would kill in motion
-    threading.Thread(target=lambda: ml.run(loop, Arm(), clock=clock), daemon=True).start()
+    threading.Thread(target=lambda: ml.run(loop, arm, clock=clock), daemon=True).start()
     moving.wait(50.0)
     sys.exit()
-done = ml.run(loop, Arm(), 0.5 if how == "ignored" else 300.0, clock=clock)
+done = ml.run(loop, arm, 0.5 if how == "ignored" else 300.0, clock=clock)
 print("returned:", done.ended, flush=True)
 """
 
 
-@pytest.mark.parametrize(
-    ("name", "how", "said", "code"),
-    [
-        ("SIGTERM", "", "held", 143),
-        ("SIGHUP", "own", "returned: SIGHUP", 0),
-        ("SIGHUP", "ignored", "returned: the 0.5 s were over", 0),
-        ("SIGINT", "fails", "returned: Ctrl-C; the driver's hold() failed: OSError: no port", 0),
-        ("SIGTERM", "blocks", "blocks", 143),
-        ("", "thread", "held", 0),
-    ],
-)
+@pytest.mark.parametrize(("name", "how", "said", "code"), rows_in("ends_of_a_run.txt"))
 def test_signals_end_a_run_with_a_braked_arm_that_holds_itself(name, how, said, code):
     """The last velocity sent is zero, `hold` comes after it, and the program ends as the signal has it end.
 
@@ -273,16 +241,17 @@ def test_signals_end_a_run_with_a_braked_arm_that_holds_itself(name, how, said, 
 
     Not where it was started with the signal ignored. A `command` that does not return is given up, and none is sent.
     """
-    ignore: Any = {"preexec_fn": lambda: signal.signal(signal.SIGHUP, signal.SIG_IGN)} if how == "ignored" else {}
-    words = [sys.executable, "-c", PROGRAM, how]
-    with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, **ignore) as program:
+    more: Any = {"preexec_fn": lambda: signal.signal(signal.SIGHUP, signal.SIG_IGN)} if how == "ignored" else {}
+    more |= {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+    more["env"] = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
+    with subprocess.Popen([sys.executable, "-c", PROGRAM, how], **more) as program:
         assert program.stdout is not None and program.stderr is not None
         lines = [program.stdout.readline() for _ in range(41)]
         if name:
             program.send_signal(signal.Signals[name])
         lines += program.stdout.readlines()
         error = program.stderr.read()
-    assert (lines[-1].strip(), program.returncode) == (said, code) and "Traceback" not in error
+    assert (lines[-1].strip(), program.returncode) == (said, int(code)) and "Traceback" not in error
     sent = np.array([[float(x) for x in line.split()[1:]] for line in lines if line.startswith("sent")])
     assert np.max(np.abs(sent[38])) > 0.1 and np.max(np.abs(np.diff(sent, axis=0))) < 0.1  # braked, not stopped dead
     if how == "blocks":

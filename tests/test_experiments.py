@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import csv
 import json
+import sys
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,7 +15,7 @@ from numpy.random import Generator
 from numpy.testing import assert_allclose
 
 from manip_learn.constraint.features import FrameJacobian
-from manip_learn.errors import ExperimentError, OutputError, UnknownNameError
+from manip_learn.errors import ExperimentError, MissingExtraError, OutputError, UnknownNameError
 from manip_learn.experiments import reproduce, sawyer, singular_starts, table
 from manip_learn.experiments.metrics import manipulability_along, mie, nmie, policy_rmse, scale_free_nmie
 from manip_learn.experiments.paper_setup import PAPER_NMIE, SELECTIONS, Setup
@@ -69,12 +71,16 @@ def test_what_is_asked_for_is_checked_before_anything_is_written(tmp_path):
         reproduce("rmse", trials=1, out=tmp_path / "thesis.docx")
 
 
-def test_files_of_an_experiment(tmp_path):
-    """Numbers and figures are written, the same bytes every time; the JSON is what the call returned."""
-    out, seen = tmp_path / "out", []
-    answer = reproduce("rmse", trials=1, seed=5, out=out, workers=1, on_result=lambda *found: seen.append(found))
+def test_files_of_an_experiment(tmp_path, monkeypatch):
+    """Numbers and figures are written, the same bytes every time; the JSON is what the call returned. An extra that is
+    missing is named.
+    """
+    out, seen, done = tmp_path / "out", [], []
+    heard = {"on_result": lambda *found: seen.append(found), "progress": lambda name, share: done.append(share)}
+    answer = reproduce("rmse", trials=1, seed=5, out=out, workers=1, **heard)
     content = json.loads((out / "rmse.json").read_text())
     assert content["result"] == answer["rmse"] and content["settings"] == {"trials": 1, "seed": 5}
+    assert done == sorted(done) and done[-1] == 1.0
     ((part, result),) = seen
     assert (part, result.to_dict()) == ("rmse", answer["rmse"])
     write_result("rmse", result, tmp_path / "again", content["settings"])
@@ -84,9 +90,20 @@ def test_files_of_an_experiment(tmp_path):
     header, *lines = list(csv.reader((out / "rmse.csv").read_text().splitlines()))
     assert header[:3] == ["case", "trial", "joint-affine.two_policies"] and [line[0] for line in lines] == [*SELECTIONS]
     assert json.loads(lines[0][2]) == result.outcomes["x y"][0]["joint-affine"]["two_policies"]
+    for module, made in (("joblib", lambda: run("dice", throw, Setup(), 2, 3, 2)), ("matplotlib", result.figures)):
+        monkeypatch.setitem(sys.modules, module, None)
+        with pytest.raises(MissingExtraError, match=r"manip_learn\[experiments\]"):
+            made()
 
 
-def test_table_has_the_shape_that_checks_read():
+def written(name: str, result: Any, folder: Path) -> str:
+    """The words of a result, all of whose files are written."""
+    paths = write_result(name, result, folder, {})
+    assert {path.suffix for path in paths} == {".json", ".csv", ".md", ".png", ".svg"}
+    return (folder / f"{name}.md").read_text(encoding="utf-8")
+
+
+def test_table_has_the_shape_that_checks_read(tmp_path):
     """Constraint -> paper and ours -> way to learn -> mean, sd, median, worst, seconds_per_fit and shares."""
     trials = [{name: ANSWER | {"test": float(i)} for name in table.LABELS} for i in (1, 2, 6)]
     trials[1]["auto"] = {"refused": "too-few"}
@@ -101,7 +118,7 @@ def test_table_has_the_shape_that_checks_read():
         }  # fmt: skip
         assert block["ours"]["auto"]["mean"] == 3.5 and block["ours"]["auto"]["refused"] == pytest.approx(1.0 / 3.0)
         assert block["ours"]["auto"]["rows_right"] == pytest.approx(2.0 / 3.0)
-    assert "| joint, affine policy | 3 +- 2.6 | 2 | 6 | 0.1 +- " in result.markdown()
+    assert "| joint, affine policy | 3 +- 2.6 | 2 | 6 | 0.1 +- " in written("table", result, tmp_path)
     assert result.rows()[1] | {"auto.refused": "too-few", "separate.test": 2.0} == result.rows()[1]
 
 
@@ -151,7 +168,7 @@ def singular():
     return singular_starts.SINGULAR.run(1, np.random.default_rng(0))
 
 
-def test_singular_start_is_the_papers_picture(singular):
+def test_singular_start_is_the_papers_picture(singular, tmp_path):
     """Zero is stuck at 3 m, the attractor dips, climbing keeps mu above 0.866 from step 3; the threshold is Matlab's.
 
     The dip is at step 37 of 50 Hz and not "around 70": that is 100 Hz, and the verdict says both.
@@ -161,6 +178,7 @@ def test_singular_start_is_the_papers_picture(singular):
     assert all(c.holds for c in printed.values()) and any("1.332e-15" in text for text in printed)
     assert not late.holds and late.verdict == "**no** at the paper's 50 Hz, yes at 100 Hz"
     assert late.seen == "lowest at step 37 at 50 Hz; lowest at step 72 at 100 Hz"
+    assert f"| {late.text} | {late.seen} | {late.verdict} |" in written("singular", singular, tmp_path)
     numbers = singular.to_dict()["ours"]
     assert numbers["manipulability, dt 0.02 s"]["min_manipulability"] > 0.866
     assert numbers["attractor, dt 0.01 s"]["min_manipulability"] == pytest.approx(0.0312, abs=1e-3)
@@ -177,7 +195,7 @@ def test_figure_2_is_judged_over_starts_that_differ_by_rounding(singular):
 
 
 @pytest.mark.parametrize("name", [n for n, c in sawyer.CASES.items() if c.direction != "y" and c.points is not None])
-def test_drawer_is_learnt(name):
+def test_drawer_is_learnt(name, tmp_path):
     """Every reading finds its rows by itself; the model to rounding, kind physics to 0.1 and hard to 2 degrees."""
     of = sawyer.CASES[name]
     outcome = sawyer.sawyer_trial(of, np.random.default_rng(0))
@@ -185,3 +203,4 @@ def test_drawer_is_learnt(name):
     assert outcome["angle_deg"] < {"model": 1e-9, "kind physics": 0.1, "hard physics": 2.0}[of.source]
     assert len(outcome["rmse"]) == 20 and max(outcome["rmse"]) < 0.05
     assert outcome["nmie_held"] < 1e-3
+    assert written("sawyer", sawyer.SawyerResult({name: [outcome]}), tmp_path).endswith("| 100 % |\n")

@@ -1,52 +1,28 @@
-"""A LeRobot robot as a driver (make lerobot has the real classes, and the teleoperator)."""
+"""A LeRobot robot as a driver, and the teleoperator for LeRobot (make lerobot has the real classes)."""
 
 from __future__ import annotations
 
+import importlib
+import json
 import logging
-from types import SimpleNamespace
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from types import ModuleType, SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
+from case import rows_in
 from servo_cases import Constantly
-from test_driver import loop_of
+from test_driver import START, loop_of
+from vendor_fakes import LeRobotArm as Arm
 
 import manip_learn as ml
 from manip_learn.errors import ConfigurationError
 
-START = np.array([0.3, 0.8, 0.4])
 PERIOD = 0.01  # [s]
 STEPS = 4096  # of an encoder per turn
-
-
-class Arm:
-    """A perfect arm as LeRobot shows it: motors a, b, c and a gripper, in degrees; counts what it is asked."""
-
-    name, is_connected, simulated = "fake_follower", True, False
-
-    def __init__(self, q: np.ndarray = START, motors: tuple[str, ...] = ("joint1", "joint2", "joint3", "gripper")):
-        self.motors, self.observed, self.sent = motors, 0, []
-        self.values = dict(zip(motors, [*np.degrees(q), 37.5], strict=False))
-        self.action_features = {f"{motor}.pos": float for motor in motors}
-        self.observation_features: dict[str, Any] = {**self.action_features, "front": (480, 640, 3)}
-        self.config, self.calibration = SimpleNamespace(use_degrees=True), {}
-        self.order: list[Any] = []  # of what changes the motors
-        self.bus: Any = SimpleNamespace(
-            enable_torque=lambda motors: self.order.append(("on", motors)),
-            disable_torque=lambda motors: self.order.append(("off", motors)),
-        )
-
-    def get_observation(self) -> dict[str, Any]:
-        """Positions, and a picture that nobody needs."""
-        self.observed += 1
-        return {f"{motor}.pos": value for motor, value in self.values.items()} | {"front": None}
-
-    def send_action(self, action: dict[str, Any]) -> dict[str, Any]:
-        """Goes there at once."""
-        self.sent.append(dict(action))
-        self.order.append("goals")
-        self.values |= {key.removesuffix(".pos"): value for key, value in action.items() if key.endswith(".pos")}
-        return action
 
 
 def in_units(arm: Arm, mode: str, low: int = 1024, high: int = 3072) -> Arm:
@@ -68,6 +44,7 @@ def test_a_run_in_degrees(planar3):
     arm = Arm()
     driver = driver_of(arm, planar3)
     record = ml.run(loop_of(planar3, PERIOD), driver, 0.5)
+    assert repr(driver) == "LeRobotDriver(fake_follower, 3 joints, 10 ms)"
     assert record.ordered and arm.observed - 1 == len(arm.sent) == record.cycles
     assert {action["gripper.pos"] for action in arm.sent} == {37.5}
     sent = np.radians([[action[f"joint{i}.pos"] for i in (1, 2, 3)] for action in arm.sent])
@@ -123,30 +100,15 @@ def test_spans_without_calibration():
         driver_of(arm, planar3, units="normalised")
 
 
-FEATURE = {f"{m}.pos": float for m in Arm().motors}
 SO101 = ml.load_robot("so101", locked=("gripper",))
-REFUSED = {  # words of the sentence -> changes of the arm, and options of the driver
-    "not connected: call its connect": ({"is_connected": False}, {}),
-    r"gripper of fake_follower moves no joint of planar3: .*others=\('gripper',\)": ({}, {"others": ()}),
-    "has no motor elbow: its motors are joint1": ({}, {"motors": {"elbow": "joint1"}}),
-    "joint1 has two motors, joint1 and joint2": ({}, {"motors": {"joint2": "joint1"}}),
-    "does not know the unit of motor joint1: set units=": ({"config": None}, {}),
-    "joint1 is in degrees by LeRobot's own config": ({}, {"units": "radians"}),
-    "units must be 'degrees'": ({}, {"units": "deg"}),
-    "expects x.speed: this driver can only send positions": ({"action_features": FEATURE | {"x.speed": float}}, {}),
-    "does not observe the position of motors": ({"observation_features": {}}, {}),
-    "period must be a positive number": ({}, {"period": 0.0}),
-}
 
 
-@pytest.mark.parametrize("message", REFUSED)
-def test_what_does_not_fit_is_refused_in_a_sentence(message, planar3):
+@pytest.mark.parametrize(("words", "changes", "options"), rows_in("lerobot_refused.txt"))
+def test_what_does_not_fit_is_refused_in_a_sentence(words, changes, options, planar3):
     """Motors, joints, units and numbers that do not fit: what, where, and what to do."""
-    changes, options = REFUSED[message]
-    arm = Arm()
-    vars(arm).update(changes)
-    with pytest.raises(ConfigurationError, match=message):
-        ml.LeRobotDriver(arm, planar3, **{"period": PERIOD, "others": ("gripper",), **options})
+    vars(arm := Arm()).update(json.loads(changes))
+    with pytest.raises(ConfigurationError, match=words):
+        ml.LeRobotDriver(arm, planar3, **{"period": PERIOD, "others": ("gripper",), **json.loads(options)})
 
 
 def test_motors_and_joints_that_do_not_fit(planar3):
@@ -266,3 +228,86 @@ def test_release_and_hold(planar3):
     arm.disable_torque = lambda: done.append("off")  # type: ignore[attr-defined]
     driver.release()
     assert done == ["off"]
+
+
+# ---- the teleoperator, on stand-ins for LeRobot's base classes ----
+
+PACKAGE = "lerobot_teleoperator_manip_learn"
+FOLDER = Path(__file__).resolve().parents[1] / "examples" / PACKAGE
+
+
+@dataclass
+class Config:
+    """Stands for `TeleoperatorConfig`."""
+
+    @classmethod
+    def register_subclass(cls, name: str) -> Any:
+        return lambda kind: kind
+
+
+class Base:
+    """Stands for `Teleoperator`."""
+
+    def __init__(self, config: Any):
+        self.id = "fake"
+
+
+@pytest.fixture
+def package(monkeypatch):
+    """The plugin, imported on the stand-ins."""
+    stands_for = {
+        "lerobot": {}, "lerobot.teleoperators": {}, "lerobot.utils": {},
+        "lerobot.teleoperators.config": {"TeleoperatorConfig": Config},
+        "lerobot.teleoperators.teleoperator": {"Teleoperator": Base},
+        "lerobot.utils.decorators": {"check_if_not_connected": lambda method: method},
+    }  # fmt: skip
+    for name, members in stands_for.items():
+        monkeypatch.setitem(sys.modules, name, module := ModuleType(name))
+        vars(module).update(members)
+    monkeypatch.syspath_prepend(str(FOLDER))
+    return importlib.import_module(PACKAGE)
+
+
+@pytest.fixture
+def drawer(tmp_path):
+    """The settings of a motion: 0.1 m along y, x held."""
+    robot = ml.load_robot("planar3")
+    file = ml.Constraint([[1, 0]], ml.FrameJacobian(robot, "tip", axes="x y")).save(tmp_path / "drawer.json")
+    start = {"joint1": 17.0, "joint2": 46.0, "joint3": 23.0, "gripper": 12.0}
+    motion = {"robot": "planar3", "constraint": str(file), "start": start, "along": 0.1}
+    return {**motion, "others": ["gripper"], "fps": 30.0}
+
+
+def test_actions_keep_the_constraint(package, drawer, monkeypatch):
+    """At 30 Hz: from the start 0.1 m along what is free, the held row held, the gripper where it was."""
+    clock = [0.0]
+    teleop = package.ManipLearn(package.ManipLearnConfig(**drawer))
+    monkeypatch.setattr(f"{PACKAGE}.manip_learn.time", SimpleNamespace(perf_counter=lambda: clock[0]))
+    assert teleop.is_calibrated and not teleop.is_connected
+    teleop.connect()
+    actions = []
+    for _ in range(150):
+        actions.append(teleop.get_action())
+        clock[0] += 1.0 / 30.0
+    robot = ml.load_robot("planar3")
+    q = np.radians([[action[f"joint{i}.pos"] for i in (1, 2, 3)] for action in actions])
+    way = np.array([robot.position(row, "tip") for row in q])
+    first = robot.position(np.radians([17.0, 46.0, 23.0]), "tip")
+    assert abs(way[-1, 1] - first[1]) == pytest.approx(0.1, abs=1e-3)
+    assert np.abs(way[:, 0] - first[0]).max() < 1e-4
+    assert {action["gripper.pos"] for action in actions} == {12.0}
+    assert teleop.action_features == dict.fromkeys(actions[0], float) == teleop.feedback_features
+    teleop.disconnect()
+    assert not teleop.is_connected
+
+
+def test_the_arm_stands_where_an_action_would_leave_the_limits(package, drawer, caplog):
+    """A start outside the limits is never left by an action: one warning with the motor, the start again and again."""
+    drawer["start"]["joint1"] = 800.0
+    teleop = package.ManipLearn(package.ManipLearnConfig(**drawer))
+    teleop.connect()
+    with caplog.at_level(logging.WARNING):
+        actions = [teleop.get_action() for _ in range(5)]
+    assert {action["joint1.pos"] for action in actions} == {800.0}
+    (warning,) = caplog.records
+    assert "motor joint1 is not sent to" in warning.getMessage()

@@ -3,20 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pinocchio as pin
 import pytest
+from task_sets import learnt_from, shipped
 
 import manip_learn as ml
 from manip_learn.errors import ConfigurationError
 
 # meshcat imports a module of pyzmq that says so
 pytestmark = pytest.mark.filterwarnings("ignore:zmq.eventloop.ioloop:DeprecationWarning")
-DOOR = Path(__file__).resolve().parents[1] / "examples" / "data" / "ur5_loose_door"
 
 
 class Notebook:
@@ -38,9 +37,8 @@ class Notebook:
 @pytest.fixture(scope="module")
 def door() -> tuple[ml.Robot, ml.Demonstrations, ml.Constraint]:
     """A UR5, a door and what was learnt of it."""
-    robot = ml.load_robot("ur5")
-    demos = ml.load_demonstrations(sorted(DOOR.glob("*.csv")), robot)
-    return robot, demos, ml.ConstraintLearner(ml.FrameJacobian(robot, "tool0")).fit(demos).constraint_
+    constraint = learnt_from("ur5_loose_door").constraint_
+    return constraint.features.robot, shipped("ur5_loose_door")[1], constraint
 
 
 def test_the_scene_is_the_arm_and_what_was_learnt(door):

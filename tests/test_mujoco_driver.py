@@ -5,28 +5,23 @@ from __future__ import annotations
 import runpy
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 import manip_learn as ml
-from manip_learn.errors import ConfigurationError
+from manip_learn.errors import ConfigurationError, MissingExtraError
 
 mujoco = pytest.importorskip("mujoco")
 from manip_learn.drivers.mujoco import MuJoCoDriver  # noqa: E402
 
-PENDULUM = """
-<mujoco><option timestep="0.002" integrator="implicitfast"/><worldbody>
-<body><joint name="a" axis="0 1 0"/><geom type="capsule" fromto="0 0 0 0.4 0 0" size="0.02" mass="2"/>
-<body pos="0.4 0 0"><joint name="b" axis="0 1 0"/><geom type="capsule" fromto="0 0 0 0.3 0 0" size="0.02" mass="1"/>
-</body></body></worldbody>
-<actuator><position joint="a" kp="10"/></actuator></mujoco>
-"""
+PENDULUM = str(Path(__file__).parent / "arms" / "pendulum.xml")
 
 
 def sent_to(**options) -> np.ndarray:
     """What is read over 1.5 s of an arm that is sent 0.05 rad away."""
-    model = mujoco.MjModel.from_xml_string(PENDULUM)
+    model = mujoco.MjModel.from_xml_path(PENDULUM)
     driver, read = MuJoCoDriver(model, ("a", "b"), GOAL - 0.05, period=0.01, **options), []
     for _ in range(150):
         driver.command(GOAL, np.zeros(2))
@@ -60,11 +55,12 @@ def test_what_is_read_of_a_used_arm():
     assert np.all(sent_to(feedforward=False)[0] < ideal[0] - 0.01)
 
 
-def test_servos_follow_and_carry_the_weight():
+def test_servos_follow_and_carry_the_weight(monkeypatch):
     """Of an arm under gravity with an actuator of its own, the servos follow a slow motion to a milliradian, rest where
-    they were sent, and what they exert is the weight; a joint that is not there or a wrong period is refused.
+    they were sent, and what they exert is the weight; a joint that is not there or no hinge, a wrong period and
+    a missing MuJoCo are refused.
     """
-    model = mujoco.MjModel.from_xml_string(PENDULUM)
+    model = mujoco.MjModel.from_xml_path(PENDULUM)
     driver = MuJoCoDriver(model, ("b", "a"), [0.3, -0.5], period=0.01)
     for k in range(200):
         t = 0.01 * (k + 1)
@@ -80,12 +76,19 @@ def test_servos_follow_and_carry_the_weight():
     lever = [0.4 * np.cos(q[1]), 0.15 * np.cos(q[0] + q[1])]
     assert effort[0] == pytest.approx(-9.81 * lever[1], abs=0.05)
     assert effort[1] == pytest.approx(-9.81 * (lever[0] + lever[0] + lever[1]), abs=0.1)
-    with pytest.raises(ConfigurationError, match="no joint elbow; it has a, b"):
-        MuJoCoDriver(model, ("a", "elbow"), [0.0, 0.0])
-    with pytest.raises(ConfigurationError, match="multiple of the model's time step of 2 ms, got 3 ms"):
-        MuJoCoDriver(model, ("a", "b"), [0.0, 0.0], period=0.003)
-    with pytest.raises(ConfigurationError, match="latency must be a multiple .* got 3 ms"):
-        MuJoCoDriver(model, ("a", "b"), [0.0, 0.0], delay=0.003)  # a former name, until 0.4
+    text = Path(PENDULUM).read_text(encoding="utf-8").replace('name="b" axis="0 1 0"', 'name="b" type="ball"')
+    refused: Any = (
+        (model, "elbow", {}, "no joint elbow; it has a, b"),
+        (model, "b", {"period": 0.003}, "multiple of the model's time step of 2 ms, got 3 ms"),
+        (model, "b", {"delay": 0.003}, "latency must be a multiple .* got 3 ms"),  # a former name, until 0.4
+        (mujoco.MjModel.from_xml_string(text), "b", {}, "must be a hinge or a slide"),
+    )
+    for made, second, options, words in refused:
+        with pytest.raises(ConfigurationError, match=words):
+            MuJoCoDriver(made, ("a", second), [0.0, 0.0], **options)
+    monkeypatch.setitem(sys.modules, "mujoco", None)
+    with pytest.raises(MissingExtraError, match=r"manip_learn\[physics\]"):
+        MuJoCoDriver(model, ("a", "b"), [0.0, 0.0])
 
 
 # ---- the drawer of example 07: what stops an arm that goes wrong, and with what force ----

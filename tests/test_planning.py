@@ -9,13 +9,15 @@ from itertools import pairwise, product
 
 import numpy as np
 import pytest
+from case import DATA
 from conftest import chain_with
 from random_arms import random_tree
 
 import manip_learn as ml
 from manip_learn.commands.demo import SCENES
+from manip_learn.control.barriers import CLEARANCE
 from manip_learn.errors import MissingExtraError
-from manip_learn.planning.clearance import Clearance, Surroundings, links_of
+from manip_learn.planning.clearance import FLOOR, Clearance, Surroundings, links_of
 from manip_learn.planning.joint_path import joint_path
 from manip_learn.planning.stations import Stations, path_margins
 from manip_learn.planning.ways import soft_margin
@@ -238,13 +240,9 @@ STATIONS = 100  # at which a straight motion is checked
 NO_ROBOPLAN = "NO ROBOPLAN: PATHS ROUND WHAT IS IN THE WAY ARE NOT TESTED (the extra 'plan')"
 
 
-def around(robot: ml.Robot, size: float = 1.0) -> tuple[Obstacle, ...]:
+def around(robot: ml.Robot) -> tuple[Obstacle, ...]:
     """A box before the arm, a ball and a tube beside it."""
-    return ml.Scene(
-        boxes=[ml.Box((0.3 * size, 0.5 * size, 0.6 * size), (0.5 * size, 0.0, 0.3 * size), "box")],
-        spheres=[ml.Sphere(0.1 * size, (-0.4 * size, 0.4 * size, 0.6 * size), "ball")],
-        cylinders=[ml.Cylinder(0.05 * size, 0.8 * size, (-0.3 * size, -0.5 * size, 0.4 * size), "tube")],
-    ).obstacles(robot)
+    return ml.Scene.load(DATA / "around_an_arm.json").obstacles(robot)
 
 
 def blocked(
@@ -308,3 +306,40 @@ def test_roboplan_is_asked_where_the_straight_motion_is_not_clear(sawyer, monkey
     assert joint_path(sawyer, start, start + 1e-3, ml.Limits(sawyer), clear, 0) is not None
     with pytest.raises(MissingExtraError, match=r"pip install 'manip_learn\[plan\]'"):
         joint_path(sawyer, start, goal, ml.Limits(sawyer), clear, 0)
+
+
+# ---- what a plan takes to stand around where nobody says: a floor, which gives way to the arm ----
+
+BENT = np.array([0.0, -0.6, 0.0, -2.2, 0.0, 1.8, 0.7])
+
+
+def test_an_assumed_floor_gives_way_and_a_given_one_does_not(panda: ml.Robot):
+    """It lies below what the arm is in at the start, and below all that was shown: one note says which and how deep."""
+    middle, above = panda.pose(BENT, "panda_link4")[:3, 3], np.zeros(7)
+    floor = next(o for o in ml.Scene(floor=float(middle[2]) - 0.02).obstacles(panda))
+    assumed = Surroundings((floor,), assumed=frozenset({FLOOR}))
+    for start, shown, where in ((BENT, (), "at the start"), (above, (above, BENT), "in the recordings")):
+        clear = Clearance(panda, True, assumed, start, shown)
+        nearest = min(pair.distance for pair in clear.links.closer_than(BENT, 10.0) if pair.links[1] == FLOOR)
+        assert clear(BENT) and nearest == pytest.approx(CLEARANCE, abs=1e-4)
+        assert len(clear.notes) == 1 and clear.notes[0].startswith(where) and "lower" in clear.notes[0]
+    assert not Clearance(panda, True, Surroundings((floor,)), above, (BENT,))(BENT)
+
+
+def test_nothing_is_invented(panda: ml.Robot):
+    """Of what is opened nobody knows its front: without a scene there is a floor, with one what it states."""
+    box = ml.Scene(boxes=[ml.Box((0.1, 0.1, 0.1), (1.0, 0.0, 0.0), "box")])
+    assert [Surroundings.of(x, panda, panda.frame(PANDA_TIP)).names for x in (None, box)] == [(FLOOR,), ("box",)]
+
+
+def test_a_hand_goes_no_deeper_than_the_least_deep_that_takes_hold(panda: ml.Robot):
+    """Of postures that take hold one is in the thing held and one is beside it: the first is not clear."""
+    start, place = BENT + [0.0, -0.4, 0.0, 0.0, 0.0, 0.0, 0.0], panda.position(BENT, PANDA_TIP)
+    scene = ml.Scene(None, [ml.Box((0.3, 0.3, 0.3), place - [0.0, 0.0, 0.12], "chest")], handled=("chest",))
+    clear = Clearance(panda, True, Surroundings.of(scene, panda, panda.frame(PANDA_TIP)), start)
+    beside = BENT + [0.0, -0.1, 0.0, 0.0, 0.0, 0.0, 0.0]
+    both, alone = clear.for_grasps([BENT, beside]), clear.for_grasps([BENT])
+    assert alone(BENT) and alone(beside)
+    assert both(beside) and not both(BENT)
+    touching = both.nearest_contact(BENT)
+    assert touching is not None and touching.links[1] == "chest"

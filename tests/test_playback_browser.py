@@ -149,10 +149,6 @@ def test_a_page_plays_and_shows_what_was_learnt(robot_of, page_of):
     assert picture(page) != before
 
 
-# a check box or a choice is hit by its label
-# one of the lists and cards open, the others closed; a number beyond them closes all
-
-
 def test_a_live_view_follows_and_draws_constraint_and_target(robot_of, opened):
     """The browser shows the latest posture; the mechanism and the target are in the robot's base. A constraint of
     another robot is refused.
@@ -173,9 +169,6 @@ def test_a_live_view_follows_and_draws_constraint_and_target(robot_of, opened):
         assert [m["type"] for m in data["mechanisms"]] == ["line"]
     with pytest.raises(ConstraintMismatchError):
         LiveViewer(robot_of("planar3"), constraint=constraint, open_browser=False)
-
-
-# triangles and draw calls of each frame, shadows and all panes included
 
 
 def test_without_3d_graphics_the_page_explains_what_to_do(robot_of, page_of):

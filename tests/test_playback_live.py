@@ -19,7 +19,7 @@ from urllib.parse import quote, urlsplit
 
 import numpy as np
 import pytest
-from case import case
+from case import case, rows_in
 
 from manip_learn.errors import ConfigurationError, OutputError
 from manip_learn.playback import LiveViewer, live_viewer
@@ -177,34 +177,16 @@ def test_strangers_get_nothing_and_are_not_heard(process, lines):
         with case(headers):
             assert [answer(url, path, **headers)[0] for path in ("", "events?page=a", "files/x")] == [403, 403, 403]
             assert post(url, **headers) == 403
-    for path in (
-        "/",
-        "/events",
-        "/said?page=a-1",
-        "/x/",
-        "/files/x",
-        token + "../etc/passwd",
-        token[:-1],
-        token + "?x",
-    ):
-        with case(path):
-            assert answer(url, path)[0] == 404
-    for headers, status in (
-        ({"path": "/said?page=a-1"}, 404),
-        ({"Origin": None}, 403),
-        *(({"Content_Type": kind}, 415) for kind in (None, "text/plain", "text/plain; application/json")),
-        *(({"Content_Length": length}, 411) for length in (None, "-1")),
-        ({"Content_Length": None, "Transfer_Encoding": "chunked"}, 411),
-        *(({"Content_Length": length}, 413) for length in (16 * 2**20 + 1, 10**4000)),
-        *(({"path": path}, 400) for path in ("said?page=", "said?page=a%0ab", "said?page=" + 65 * "a")),
-        *(({"path": path}, 404) for path in ("", "events?page=a", "files/x", "said/?page=a", "../said?page=a")),
-    ):
-        with case(headers):
-            assert post(url, **headers) == status
+    for status, method, path, header, value in rows_in("requests_refused.txt"):
+        headers = {header: None if value == "none" else value} if header else {}
+        with case(method, path, headers):
+            path, body = path.format(token=token, token_cut=token[:-1]), b'{"do": "stop"}' * (method == "POST")
+            assert answer(url, path, method=method, body=body, **headers)[0] == int(status)
+    assert post(url, Content_Length=10**4000) == 413
+    assert post(url, Content_Length=None, Transfer_Encoding="chunked") == 411
     for body in (b"", b"{", b"[]", b"1", b"null", b"{}{}", b"\xff", b'{"to": NaN}', b'{"to": 1e999}',
                  b'{"to": ' + 10_000 * b"9" + b"}", b'{"a":' * 3_000 + b"1" + b"}" * 3_000):  # fmt: skip
         assert post(url, body) == 400, body[:20]
-    assert answer(url, method="PUT")[0] == 501 and answer(url, "events")[0] == 400
     assert lines == []
     bodies = [{"do": "stop"}, {"do": "drop", "text": "1,2\n" * 100_000}, {}, {"do": "rename", "to": "\u00e4"}]
     assert [post(url, json.dumps(body, indent=1).encode()) for body in bodies] == 4 * [204]

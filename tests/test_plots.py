@@ -60,6 +60,8 @@ def test_mu_is_drawn_with_its_name_and_unit(ax, runs):
     run = runs["nothing"]
     assert words(plots.manipulability(run, plt.subplots()[1])) == {"as shown", "singular"}
     assert "rollout 2" in words(plots.manipulability([run, run], ax))
+    nobodys = plots.manipulability(dataclasses.replace(run, constraint=None), plt.subplots()[1])
+    assert nobodys.get_ylabel() == "manipulability μ" and words(nobodys) == {"singular"}
     for wrong in ({}, [], run.constraint, ["run.npz"], sawyer_drawer()[2].report_):
         with pytest.raises(ManipLearnError, match="give plots.manipulability a rollout"):
             plots.manipulability(wrong, ax)  # type: ignore[arg-type]
@@ -87,6 +89,8 @@ def test_a_figure_for_the_column_of_a_paper(runs):
         assert {text.get_fontsize() for text in texts} <= {8.0}
     with pytest.raises(ManipLearnError, match="style must be one of 'page', 'column', not 'poster'"):
         plots.gap(report, style="poster")  # type: ignore[arg-type]
+    with pytest.raises(ManipLearnError, match="give the report of a learner.*not the class Robot"):
+        plots.gap(ml.Robot)  # type: ignore[arg-type]
 
 
 def test_gap_and_evidence_show_the_numbers_of_the_report(ax):

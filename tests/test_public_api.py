@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import inspect
+import re
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
@@ -15,10 +17,8 @@ HEAVY = (
     "scipy pinocchio xacrodoc joblib"
 ).split()
 OPTIONAL = "example_robot_data mujoco rosbags pyarrow h5py dask distributed xacrodoc matplotlib joblib".split()
-REMOVED = {
-    "optimise_path": "ml.plan",
-    "MechanismFit": "report_.mechanism",
-}
+REMOVED = {"optimise_path": "ml.plan", "MechanismFit": "report_.mechanism"}
+ROOT = Path(__file__).resolve().parents[1]
 
 
 def test_names_exist_and_are_documented():
@@ -28,7 +28,7 @@ def test_names_exist_and_are_documented():
     things = {name: getattr(ml, name) for name in ml.__all__}
     assert not [name for name, thing in things.items() if inspect.ismodule(thing) or not inspect.getdoc(thing)]
     assert list(ml.__all__) == sorted(set(ml.__all__))
-    assert dir(ml) == sorted([*ml.__all__, "__version__"])
+    assert dir(ml) == sorted([*ml.__all__, "__version__"]) and re.match(r"\d+\.\d+\.\d+", ml.__version__)
 
 
 def test_unknown_and_removed_names_are_attribute_errors():
@@ -58,3 +58,11 @@ def test_an_import(code):
     """In a fresh interpreter, with warnings as errors: only the command line's `main` decides what Ctrl-C does."""
     done = subprocess.run([sys.executable, "-W", "error", "-c", code], capture_output=True, text=True, timeout=100)
     assert done.returncode == 0, done.stderr
+
+
+def test_versions_agree():
+    """The library, the compiled law, the citation and the changelog are of one release."""
+    files = ("pyproject.toml", "fast/pyproject.toml", "CITATION.cff", "CHANGELOG.md")
+    texts = [(ROOT / file).read_text(encoding="utf-8") for file in files]
+    found = [re.search(r"^(?:version(?: = \"|: )|## \[)(\d[\w.]*)", text, re.MULTILINE) for text in texts]
+    assert all(found) and len({match[1] for match in found if match}) == 1

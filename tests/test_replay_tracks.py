@@ -8,10 +8,11 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 import pytest
+from case import DATA
+from task_sets import DATA as SHIPPED
 from test_playback import data_in, unpacked, waving
 
 import manip_learn as ml
-from manip_learn.cli import main
 from manip_learn.commands import tables
 from manip_learn.commands.output import Answer
 from manip_learn.constraint.features import MechanismRows, RelativeFrameJacobian
@@ -251,20 +252,11 @@ def test_bad_numbers_of_a_mechanism_are_named() -> None:
 
 # ---- obstacles and warnings ------------------------------------------------------------------------------------------
 
-DATA = Path(__file__).resolve().parents[1] / "examples" / "data"
-
 
 @pytest.fixture(scope="module")
 def scene() -> ml.Scene:
     """One obstacle of each kind near an arm, and a floor well below it."""
-    vertices, faces = [[0, 0, 0], [0.1, 0, 0], [0, 0.1, 0], [0, 0, 0.1]], [[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]]
-    return ml.Scene(
-        floor=-0.9,
-        boxes=[ml.Box((0.3, 0.2, 0.1), (0.3, 0.9, 0.2), "box")],
-        spheres=[ml.Sphere(0.1, (0.3, -0.9, 0.2), "ball")],
-        cylinders=[ml.Cylinder(0.05, 0.4, (-0.6, 0.5, 0.2), "post")],
-        meshes=[ml.Mesh((vertices, faces), (-0.6, -0.5, 0.2), "wedge")],
-    )
+    return ml.Scene.load(DATA / "one_of_each.json")
 
 
 def test_an_assumed_floor_is_neither_drawn_nor_framed(robot_of, tmp_path: Path):
@@ -283,25 +275,23 @@ def test_an_assumed_floor_is_neither_drawn_nor_framed(robot_of, tmp_path: Path):
     assert stated["floor"] < plain["floor"]
 
 
-def test_a_page_has_every_warning_of_the_terminal(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-):
+def test_a_page_has_every_warning_of_the_terminal(run, monkeypatch: pytest.MonkeyPatch):
     """In the same words: of learning, of a task done again, of a rollout, and of a replay of files."""
-    page, task, run, short = (tmp_path / name for name in ("a.html", "task.json", "run.npz", "short.npz"))
     answers, show = list[Answer](), tables.show
     monkeypatch.setattr(
         tables, "show", lambda console, answer, *more: (answers.append(answer), show(console, answer, *more))
     )
     for words in (
-        ["learn", "panda", str(DATA / "panda_drawer_whole"), "--out", str(task)],
-        ["learn", "panda", str(DATA / "panda_drawer_mixed"), "--out", str(tmp_path / "mixed.json")],
-        ["repeat", "panda", str(task), "--out", str(run)],
-        ["control", "panda", str(task), "--along", "0.1", "--plan", "--out", str(short)],
-        ["control", "panda", str(task), "--duration", "0.3"],
-        ["replay", str(run), str(short)],
+        ["learn", "panda", SHIPPED / "panda_drawer_whole", "--out", "task.json"],
+        ["learn", "panda", SHIPPED / "panda_drawer_mixed", "--out", "mixed.json"],
+        ["repeat", "panda", "task.json", "--out", "run.npz"],
+        ["control", "panda", "task.json", "--along", "0.1", "--plan", "--out", "short.npz"],
+        ["control", "panda", "task.json", "--duration", "0.3"],
+        ["replay", "run.npz", "short.npz"],
     ):
-        assert main([*words, "--html", str(page)]) == 0, words
-        printed, notes = (" ".join(t.split()) for t in (capsys.readouterr().out, " ".join(data_in(page)["notes"])))
+        code, out, _ = run(*words, "--html", "a.html")
+        assert code == 0, words
+        printed, notes = (" ".join(t.split()) for t in (out, " ".join(data_in(Path("a.html"))["notes"])))
         warnings = [text.removeprefix("warning: ") for text in (*answers[-1].warnings, *answers[-1].notes)]
         assert warnings, words
         for warning in (" ".join(text.split()) for text in warnings):

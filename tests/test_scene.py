@@ -7,12 +7,14 @@ import json
 import numpy as np
 import pytest
 import trimesh
+from case import DATA, rows_in
 from conftest import chain_with
 from test_gradients import central_difference
 from urdf_corpus import stl
 
 import manip_learn as ml
-from manip_learn.errors import RobotError, SceneError, UnknownNameError
+from manip_learn import errors
+from manip_learn.errors import RobotError, SceneError
 from manip_learn.planning.clearance import Clearance, Surroundings
 from manip_learn.playback.appearance import appearance
 from manip_learn.robot.collision import SelfCollision, collision_shapes, describe_shapes
@@ -174,25 +176,6 @@ def test_scenes_are_data(tmp_path):
     assert moved != ml.Scene(floor=-0.02, boxes=[ml.Box((0.5, 0.4, 0.3), (0.6, 0.0, 0.31), "table")])
 
 
-FIXED = (
-    '<joint name="{0}_joint" type="{1}"><parent link="world"/><child link="{0}"/><origin xyz="0.5 0 0.3" rpy="0 0 1"/>'
-)
-CABINET = (
-    '<robot name="room"><link name="world"/><link name="cabinet"><collision><origin xyz="0 0 0.1"/><geometry>'
-    '<box size="1 0.5 0.2"/></geometry></collision><collision name="rod"><geometry><cylinder radius="0.1" '
-    'length="0.5"/></geometry></collision><collision><geometry><sphere radius="0.1"/></geometry></collision>'
-    '<visual><geometry><box size="9 9 9"/></geometry></visual></link><link name="lamp"><visual><geometry>'
-    '<mesh filename="ell.stl" scale="0.1 0.1 0.1"/></geometry></visual></link>'
-    f"{FIXED.format('cabinet', 'fixed')}</joint>{FIXED.format('lamp', 'TYPE')}</joint></robot>"
-)
-ROOM = (
-    '<mujoco><default><geom rgba="1 0 0 1"/></default><worldbody><light pos="0 0 3"/><geom name="ground" type="plane" '
-    'pos="0 0 -0.1" size="0 0 1"/><geom name="desk" type="box" size="0.5 0.4 0.02" pos="0.6 0 0.3" group="3"/>'
-    '<body name="rack" pos="1 0 0" euler="0 0 90"><geom type="capsule" size="0.05" fromto="0 0 0 0.2 0 0"/>'
-    '<geom type="sphere" size="0.1" contype="0" conaffinity="0"/>JOINT</body></worldbody></mujoco>'
-)
-
-
 def test_descriptions_as_scenes(tmp_path):
     """URDF and MJCF, of what can be touched and by its names; a joint that moves is named."""
     SOURCES["ell"].export(tmp_path / "ell.stl")
@@ -201,79 +184,60 @@ def test_descriptions_as_scenes(tmp_path):
         (tmp_path / name).write_text(text, encoding="utf-8")
         return ml.Scene.load(tmp_path / name)
 
-    scene = load("room.urdf", CABINET.replace("TYPE", "fixed"))
+    cabinet, room = ((DATA / name).read_text(encoding="utf-8") for name in ("cabinet.urdf", "room.xml"))
+    scene = load("room.urdf", cabinet)
     assert repr(scene) == "Scene: 1 box (cabinet), 1 sphere (cabinet 2), 1 cylinder (rod), 1 mesh (lamp)"
     np.testing.assert_allclose(scene.boxes[0].pose, pose((0.5, 0.0, 0.4), (0.0, 0.0, 1.0)), atol=1e-12)
     np.testing.assert_allclose(scene.spheres[0].pose[:3, 3], [0.5, 0.0, 0.3], atol=1e-12)
     assert np.ptp(scene.meshes[0].shape.vertices, axis=0) == pytest.approx([0.1, 0.04, 0.12], abs=1e-6)
-    scene = load("room.xml", ROOM.replace("JOINT", ""))
+    scene = load("room.xml", room)
     assert repr(scene) == "Scene: 2 boxes (ground, desk), 1 cylinder (rack)"
     ground, desk = scene.boxes
     assert ground.pose[2, 3] + 0.5 * ground.shape.size[2] == pytest.approx(-0.1) and desk.shape.size == (1.0, 0.8, 0.04)
     np.testing.assert_allclose(scene.cylinders[0].pose[:3, 3], [1.0, 0.1, 0.0], atol=1e-12)
     assert scene.cylinders[0].shape.size == pytest.approx((0.05, 0.3))
-    hills = ROOM.replace("JOINT", '<geom type="hfield" hfield="hills"/>')
     for name, text, error, words in (
-        ("room.urdf", CABINET.replace("TYPE", "floating"), SceneError, "lamp_joint.*fix"),
-        ("room.xml", ROOM.replace("JOINT", '<joint name="hinge"/>'), SceneError, "hinge.*fix"),
-        ("hills.xml", hills, RobotError, "'hfield' is not supported"),
+        (
+            "room.urdf",
+            cabinet.replace('lamp_joint" type="fixed', 'lamp_joint" type="floating'),
+            SceneError,
+            "lamp_joint.*fix",
+        ),
+        ("room.xml", room.replace("</body>", '<joint name="hinge"/></body>'), SceneError, "hinge.*fix"),
+        (
+            "hills.xml",
+            room.replace("</body>", '<geom type="hfield" hfield="hills"/></body>'),
+            RobotError,
+            "'hfield' is not supported",
+        ),
     ):
         with pytest.raises(error, match=f"{name}.*{words}"):
             load(name, text)
 
 
-ONE = ([[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 2]])
-BAD_THINGS = [
-    (lambda: ml.Box((1, -0.6, 1), (0, 0, 0), "a"), r"box 'a'.*size is \(1, -0.6, 1\).*three positive numbers"),
-    (lambda: ml.Box((800, 600, 40), (0, 0, 0), "a"), "size is 800 m.*millimetres"),
-    (lambda: ml.Box((1, 1, 1), (600, 0, 0), "a"), "place is 600 m.*millimetres"),
-    (lambda: ml.Box((1, 1, 1), (0, 0), "a"), r"pose is \(0, 0\).*4 x 4"),
-    (lambda: ml.Box((1, 1, 1), 2.0 * np.eye(4), "a"), "not rigid, by 3"),
-    (lambda: ml.Box((1, 1, 1), np.diag([1.0, 1.0, -1.0, 1.0]), "a"), "pose mirrors"),
-    (lambda: ml.Box((1, 1, 1), (0, 0, 0), " "), "a name is expected"),
-    (lambda: ml.Sphere(0, (0, 0, 0), "a"), "sphere 'a': its radius is 0; a positive number"),
-    (lambda: ml.Cylinder(0.1, np.inf, (0, 0, 0), "a"), "cylinder 'a': its length is inf"),
-    (lambda: ml.Mesh("nowhere.stl", (0, 0, 0), "a"), "mesh 'a'.*nowhere.stl.*check the path"),
-    (lambda: ml.Mesh((ONE[0], [[0, 1, 3]]), (0, 0, 0), "a"), "make no mesh"),
-    (lambda: ml.Mesh(([[0, 0, np.inf], *ONE[0]], ONE[1]), (0, 0, 0), "a"), "make no mesh"),
-    (lambda: ml.Mesh(ONE, (0, 0, 0), "a", 0.0), "scale is 0.0"),
-    (lambda: ml.Mesh(ONE, (0, 0, 0), "a", 1000.0), "size is 1000 m.*millimetres.*scale=0.001"),
-    (lambda: ml.Scene(boxes=[THINGS[0], THINGS[0]]), "2 things are called 'box'.*rename"),
-    (lambda: ml.Scene(boxes=[THINGS[1]]), "boxes hold Sphere"),
-    (lambda: ml.Scene(np.nan), "floor is nan"),
-    (lambda: ml.Scene(boxes=[THINGS[0]], handled="boks"), "'boks'.*did you mean 'box'"),
-    (lambda: ml.Scene(-700), "floor is -700; a height of at most 10 m"),
-]
-
-
-@pytest.mark.parametrize(("make", "sentence"), BAD_THINGS)
-def test_impossible_things(make, sentence):
-    """One sentence says which thing, what was seen, and what is wanted."""
-    with pytest.raises(SceneError if "mean" not in sentence else UnknownNameError, match=sentence):
-        make()
-
-
-BAD_FILES = [
-    ("", SceneError, "empty"),
-    ('{"flor": 0}', UnknownNameError, "'flor'.*did you mean 'floor'"),
-    ('{"boxes": [3]}', SceneError, r"boxes\[0\] is 3"),
-    ('{"boxes": [{"name": "a", "size": [1, 1, 1]}]}', SceneError, r"boxes\[0\] lacks key 'pose'"),
-    ('{"boxes": [{"name": "a", "size": [1, 1, 1], "poes": [0, 0, 0]}]}', UnknownNameError, "'poes'.*'pose'"),
-    ('{"boxes": [{"name": "a", "size": [1, 1, -1], "pose": [0, 0, 0]}]}', SceneError, "room.json: box 'a'"),
-    ('{"boxes": [{"name": "a", "size": [19, 1, 1], "pose": [0, 0, 0]}]}', SceneError, "19 m large.*reaches.*milli"),
-    ('{"meshes": [{"name": "a", "source": "a.stl", "pose": [0, 0, 0]}]}', SceneError, "room.json: mesh 'a'.*a.stl"),
-    ("<robot", RobotError, "XML"),
-]
-
-
-@pytest.mark.parametrize(("text", "error", "sentence"), BAD_FILES)
-def test_bad_files(text, error, sentence, tmp_path, robot_of):
-    """The sentence names the file, the entry and the nearest known key."""
-    (tmp_path / "room.json").write_text(text, encoding="utf-8")
-    with pytest.raises(error, match=sentence) as seen:
-        ml.Scene.load(tmp_path / "room.json", robot_of("panda"))
+@pytest.mark.parametrize(("made", "error", "sentence", "content"), rows_in("bad_scenes.txt"))
+def test_impossible_things_and_bad_files(made, error, sentence, content, tmp_path, robot_of):
+    """One sentence says which thing, what was seen, and what is wanted; of a file its name, the entry and the nearest
+    known key.
+    """
+    path, lists = tmp_path / "room.json", {kind.__name__: field for kind, field in FIELDS.items()}
+    if made != path.name:
+        with pytest.raises(getattr(errors, error), match=sentence):
+            getattr(ml, made)(**json.loads(content))
+        content = f'{{"{lists[made]}": [{content}]}}' if made in lists else content
+    path.write_text(content, encoding="utf-8")
+    with pytest.raises(getattr(errors, error), match=sentence) as seen:
+        ml.Scene.load(path, robot_of("panda"))
     assert "room.json" in str(seen.value)
-    with pytest.raises(RobotError, match="no such file"):
+
+
+def test_names_and_files_that_are_not_there(tmp_path):
+    """A ball among the boxes is named with its kind, what is handled and a file by their names."""
+    with pytest.raises(SceneError, match="boxes hold Sphere"):
+        ml.Scene(boxes=[THINGS[1]])
+    with pytest.raises(errors.UnknownNameError, match="'boks'.*did you mean 'box'"):
+        ml.Scene(boxes=[THINGS[0]], handled="boks")
+    with pytest.raises(RobotError, match=r"none\.json.*no such file"):
         ml.Scene.load(tmp_path / "none.json")
 
 
@@ -327,34 +291,22 @@ FLAT = [("revolute", "0 0 1", "0.4 0 0", "0 0 0")] * 3
 
 
 SHEET = trimesh.creation.box((0.2, 0.1, 0.0), trimesh.transformations.rotation_matrix(0.7, (1, 2, 3))).export
-ONE_LINK = {  # what is wrong with the shapes of a link -> these, what stands there, and why
-    "a flat sticker": ('<mesh filename="sheet.stl"/>', ["Convex"], ""),
-    "a box without thickness": ('<box size="0.2 0 0.1"/>', ["Box"], ""),
-    "a mesh that is missing": ('<mesh filename="gone.stl"/>', ["Capsule"], "'gone.stl' was not found"),
-    "millimetres": ('<mesh filename="large.stl"/>', ["Capsule"], 'scale="0.001 0.001 0.001" in its <mesh> says so'),
-    "millimetres twice": (
-        '<mesh filename="large.stl"/>|<mesh filename="larger.stl"/>',
-        ["Capsule"],
-        "mesh 'large.stl' (and 1 more) is 300 m long",
-    ),
-}
 
 
 @pytest.mark.parametrize("tag", ["collision", "visual"])
-@pytest.mark.parametrize("kind", ONE_LINK)
-def test_a_bad_shape_costs_its_own_link_only(tmp_path, tag, kind):
+@pytest.mark.parametrize(("elements", "stands_there", "why"), [row[1:] for row in rows_in("bad_shapes.txt")])
+def test_a_bad_shape_costs_its_own_link_only(tmp_path, tag, elements, stands_there, why):
     """A sheet is a thin body of its size; what cannot be used is replaced by a plain shape, and plans and replays say
     so in one sentence. The other links count as they are, and nobody claims that the robot has no shapes.
     """
-    elements, stands_there, why = ONE_LINK[kind]
     files = {"sheet": SHEET(file_type="stl"), "large": stl(value=300.0), "larger": stl(value=400.0)}
     for name, content in files.items():
         (tmp_path / f"{name}.stl").write_bytes(content)
     shapes = dict.fromkeys(("base", "link0", "link2"), shape('<box size="0.1 0.1 0.1"/>', tag=tag))
-    shapes["link1"] = "".join(shape(element, tag=tag) for element in elements.split("|"))
+    shapes["link1"] = "".join(shape(element, tag=tag) for element in elements.split(", "))
     robot = chain_with(tmp_path, FLAT, shapes)
     shapes = collision_shapes(robot, tag)
-    assert [type(s.geometry).__name__ for s in shapes if s.link == "link1"] == stands_there
+    assert [type(s.geometry).__name__ for s in shapes if s.link == "link1"] == [stands_there]
     cubes = {s.link for s in shapes if isinstance(s.shape, Solid) and s.shape.size == (0.1, 0.1, 0.1)}
     assert cubes == {"base", "link0", "link2"}
     planned = Clearance(robot, True, Surroundings(), robot.positions(robot.neutral())).notes

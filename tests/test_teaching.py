@@ -30,17 +30,7 @@ from manip_learn.teach.session import FEW, TeachingSession  # noqa: E402
 
 pytestmark = pytest.mark.timeout(400)  # a busy machine takes four times as long as an idle one
 TIP = "right_gripper_tip"
-NO_LIMITS = """<robot name="bare"><link name="base"/><link name="upper"/><link name="fore"/><link name="hand"/>
-<link name="tip"/>
-<joint name="a" type="revolute"><parent link="base"/><child link="upper"/><axis xyz="0 0 1"/>
-<limit lower="-3" upper="3" effort="0" velocity="0"/></joint>
-<joint name="b" type="continuous"><parent link="upper"/><child link="fore"/><origin xyz="0 0 0.4"/><axis xyz="0 1 0"/>
-</joint>
-<joint name="c" type="continuous"><parent link="fore"/><child link="hand"/><origin xyz="0.4 0 0"/><axis xyz="0 1 0"/>
-</joint>
-<joint name="d" type="fixed"><parent link="hand"/><child link="tip"/><origin xyz="0.4 0 0"/></joint></robot>"""
-
-
+NO_LIMITS = (Path(__file__).parent / "arms" / "bare.urdf").read_text(encoding="utf-8")
 EVIL = 'x"""; __import__("os").mkdir("ran"); """ {robot} \'\\ #'  # runs where it is pasted into a docstring
 
 

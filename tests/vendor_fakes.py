@@ -7,6 +7,7 @@ refuse fails here. They go at once where they are sent: no dynamics, no delays.
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from types import ModuleType, SimpleNamespace
 from typing import Any
 
@@ -151,11 +152,7 @@ def _ros(arm: Joints) -> dict[str, ModuleType]:
             assert kind is Float64MultiArray and topic.endswith("/commands")
             return SimpleNamespace(publish=lambda message: arm.go(message.data))
 
-    class JointState(SimpleNamespace):
-        pass
-
-    class Float64MultiArray(SimpleNamespace):
-        pass
+    JointState, Float64MultiArray = (type(name, (SimpleNamespace,), {}) for name in ("JointState", "Float64MultiArray"))
 
     def spin_once(_node: Node, timeout_sec: float) -> None:
         message = JointState(name=[arm.names[i] for i in order], position=arm.q[order].tolist(), velocity=[], effort=[])
@@ -163,50 +160,57 @@ def _ros(arm: Joints) -> dict[str, ModuleType]:
             listener(message)
 
     known = {"init": lambda: None, "ok": lambda: True, "create_node": Node, "spin_once": spin_once}
-    messages = {"sensor_msgs": {"JointState": JointState}, "std_msgs": {"Float64MultiArray": Float64MultiArray}}
-    out = _module("rclpy", **known)
-    for package, kinds in messages.items():
-        out |= _module(package) | _module(f"{package}.msg", **kinds)
-    return out
+    states = _module("sensor_msgs") | _module("sensor_msgs.msg", JointState=JointState)
+    commands = _module("std_msgs") | _module("std_msgs.msg", Float64MultiArray=Float64MultiArray)
+    return _module("rclpy", **known) | states | commands
+
+
+class LeRobotArm:
+    """A perfect arm as LeRobot shows it: by default with a gripper, in degrees; counts what it is asked."""
+
+    name, is_connected, simulated = "fake_follower", True, False
+
+    def __init__(self, q: Any = (0.3, 0.8, 0.4), motors: Any = ("joint1", "joint2", "joint3", "gripper")) -> None:
+        self.motors, self.observed, self.sent = motors, 0, list[dict[str, Any]]()
+        self.values = dict(zip(motors, [*np.degrees(q), 37.5], strict=False))
+        self.action_features = {f"{motor}.pos": float for motor in motors}
+        self.observation_features: dict[str, Any] = {**self.action_features, "front": (480, 640, 3)}
+        self.config: Any = SimpleNamespace(use_degrees=True)
+        self.calibration: dict[str, Any] = {}
+        self.order: list[Any] = []  # of what changes the motors
+        self.bus: Any = SimpleNamespace(
+            enable_torque=lambda motors: self.order.append(("on", motors)),
+            disable_torque=lambda motors: self.order.append(("off", motors)),
+        )
+
+    def get_observation(self) -> dict[str, Any]:
+        """Positions, and a picture that nobody needs."""
+        self.observed += 1
+        return {f"{motor}.pos": value for motor, value in self.values.items()} | {"front": None}
+
+    def send_action(self, action: dict[str, Any]) -> dict[str, Any]:
+        """Goes there at once."""
+        assert self.is_connected and {f"{motor}.pos" for motor in self.motors} <= action.keys()
+        assert np.all(np.isfinite([*action.values()]))
+        self.sent.append(dict(action))
+        self.order.append("goals")
+        self.values |= {key.removesuffix(".pos"): value for key, value in action.items() if key.endswith(".pos")}
+        return action
 
 
 def _lerobot(arm: Joints) -> dict[str, ModuleType]:
-    motors = [f"{name}.pos" for name in arm.names]  # in degrees, those of the so101 description by the same names
-
-    class Follower:
-        name = "so_follower"
-
-        def __init__(self, config: SimpleNamespace) -> None:
-            self.config, self.is_connected = config, False
-            self.action_features = self.observation_features = dict.fromkeys(motors, float)
-            self.bus = SimpleNamespace(enable_torque=lambda _: None, disable_torque=lambda _: None)
-
-        def connect(self) -> None:
-            self.is_connected = True
-
-        def disconnect(self) -> None:
-            self.is_connected = False
-
-        def get_observation(self) -> dict[str, float]:
-            return dict(zip(motors, np.degrees(arm.q).tolist(), strict=True))
-
-        def send_action(self, action: dict[str, float]) -> dict[str, float]:
-            assert self.is_connected and set(action) == set(motors)
-            arm.go(np.radians([action[motor] for motor in motors]))
-            return action
+    def follower(config: SimpleNamespace) -> LeRobotArm:
+        made: Any = LeRobotArm(arm.q, arm.names)  # of the so101 description by the same names
+        made.config, made.is_connected = config, False
+        made.connect, made.disconnect = (partial(setattr, made, "is_connected", on) for on in (True, False))
+        return made
 
     def config(port: str, id: str) -> SimpleNamespace:
         return SimpleNamespace(port=port, id=id, use_degrees=True)
 
     packages = _module("lerobot") | _module("lerobot.robots")
-    return packages | _module("lerobot.robots.so_follower", SO101Follower=Follower, SO101FollowerConfig=config)
+    return packages | _module("lerobot.robots.so_follower", SO101Follower=follower, SO101FollowerConfig=config)
 
 
 # tab of the page of the arms -> the packages that it imports, by their names, around an arm
-FAKES: dict[str, Callable[[Joints], dict[str, ModuleType]]] = {
-    "ur": _ur,
-    "franka": _franka,
-    "xarm": _xarm,
-    "ros2_control": _ros,
-    "lerobot": _lerobot,
-}
+FAKES = {"ur": _ur, "franka": _franka, "xarm": _xarm, "ros2_control": _ros, "lerobot": _lerobot}

@@ -25,9 +25,9 @@ from lerobot.utils.import_utils import register_third_party_plugins
 
 import manip_learn as ml
 
+URDF = Path(__file__).resolve().parents[1] / "arms" / "five_joints.urdf"
 JOINTS = ("shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_roll")
 MOTORS = (*JOINTS, "gripper")
-AXES, LENGTHS = ("0 0 1", "0 1 0", "0 1 0", "0 1 0", "1 0 0"), (0.1, 0.0, 0.12, 0.14, 0.06)  # [m]
 START = {"shoulder_pan": 10.0, "shoulder_lift": -40.0, "elbow_flex": 60.0, "wrist_flex": 30.0, "wrist_roll": 0.0}
 GRIPPER, ALONG, SECONDS, FPS = 25.0, 0.06, 6, 30  # [%], [m], [s], [Hz]
 
@@ -71,24 +71,6 @@ class NotThere(Robot):
     def send_action(self, action: dict[str, Any]) -> dict[str, Any]:
         self.values |= action
         return action
-
-
-def five_joints(folder: Path) -> ml.Robot:
-    """A description with the joints of an SO-101."""
-    text, parent = '<robot name="arm"><link name="base"/>', "base"
-    joints = [*zip(JOINTS, AXES, LENGTHS, strict=True), ("grip", "", 0.1)]
-    for joint, axis, length in joints:
-        child = "hand" if joint == "grip" else f"{joint}_link"
-        place = f"0 0 {length}" if joint == "shoulder_pan" else f"{length} 0 0"
-        moves = f'<axis xyz="{axis}"/><limit lower="-2" upper="2" velocity="3" effort="3"/>' if axis else ""
-        text += (
-            f'<link name="{child}"/><joint name="{joint}" type="{"revolute" if axis else "fixed"}">'
-            f'<parent link="{parent}"/><child link="{child}"/><origin xyz="{place}"/>{moves}</joint>'
-        )
-        parent = child
-    path = folder / "arm.urdf"
-    path.write_text(f"{text}</robot>", encoding="utf-8")
-    return ml.load_robot(path)
 
 
 def said(what: str) -> None:
@@ -147,7 +129,7 @@ def check_record(robot: ml.Robot, folder: Path) -> None:
     names = ", ".join(f"{motor}: {value}" for motor, value in {**START, "gripper": GRIPPER}.items())
     sys.argv = [
         "lerobot-record", "--robot.type=arm_that_is_not_there", "--robot.id=check",
-        "--teleop.type=manip_learn", "--teleop.id=check", f"--teleop.robot={folder / 'arm.urdf'}",
+        "--teleop.type=manip_learn", "--teleop.id=check", f"--teleop.robot={URDF}",
         f"--teleop.constraint={folder / 'drawer.json'}", f"--teleop.along={ALONG}", f"--teleop.fps={FPS}",
         f"--teleop.start={{{names}}}", "--teleop.others=[gripper]",
         "--teleop.motors={wrist_roll: {joint: wrist_roll, sign: -1}}",
@@ -173,7 +155,7 @@ def main() -> None:
     print(f"lerobot {lerobot.__version__}, numpy {np.__version__}, Python {sys.version.split()[0]}")
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        robot = five_joints(folder)
+        robot = ml.load_robot(URDF)
         features = ml.FrameJacobian(robot, frame="hand", axes="xyz")
         constraint = ml.Constraint([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0]], features)
         constraint.save(folder / "drawer.json")
