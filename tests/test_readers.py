@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import bz2
 import importlib
+import json
 import shutil
 import sqlite3
 import struct
@@ -14,7 +15,8 @@ from typing import Any, NamedTuple
 import numpy as np
 import pyarrow as pa
 import pytest
-from recording_corpus import FULL, GOOD, HEADER, JOINTS, TABLE, TIME, VELOCITIES, Q, U, csv, npz, refusal
+from case import rows_in
+from recording_corpus import FULL, GOOD, HEADER, JOINTS, TABLE, TIME, VELOCITIES, Q, U, csv, npz, refusal, text
 from recording_formats import (
     FPS,
     KINDS,
@@ -489,32 +491,11 @@ REFUSED = {
     "a packed bomb": packed("sqlite", lambda path: path.write_bytes(BOMB), mode=CompressionMode.FILE),
     "a packed message": packed("sqlite", bomb_in_a_message, mode=CompressionMode.MESSAGE),
 }  # fmt: skip
-# ---- options
-UNMATCHED = {
-    "a column renamed": ({"rename": {"jiont1": "joint1"}}, "'jiont1'.*did you mean 'joint1'"),
-    "to no joint": ({"rename": {"extra": "jiont1"}}, "no joint 'jiont1'.*did you mean 'joint1'"),
-    "a column ignored": ({"ignore_columns": ["ti"]}, "nothing in the recordings is called 'ti'.*'time'"),
-    "a topic of a table": ({"topics": ["/joint_states"]}, "none of the recordings is one"),
-    "names beside a header": ({"joint_names": ["a", "b", "c"]}, "name their columns or joints themselves"),
-    "a feature of a table": ({"feature": "qpos"}, "features exist only in LeRobot data sets"),
-}
-UNKNOWN = {
-    "no option": ({"unit": "degrees"}, "there is no option 'unit'"),
-    "no unit": ({"time_unit": "min"}, "'ms'"),
-    "no rate": ({"rate": 0}, "positive"),
-    "two units": ({"degrees": True, "units": "radians"}, "contradict"),
-    "ignored numbers": ({"ignore_columns": (1,)}, "names"),
-    "named numbers": ({"joint_names": 3}, "names"),
-    "a list to rename": ({"rename": ["a"]}, "rename"),
-    **{
-        f"episodes {chosen!r}": ({"episodes": chosen}, "0:50,60,75")
-        for chosen in ("", "a", "1-3", "3,", "-1", "1:2:3", "1.5", [], [-1], [1.5], ["1"], 2.5, True)
-    },
-}
-REFUSED |= {name: unfit("option", said, table(HEADER, TABLE), **options) for name, (options, said) in UNMATCHED.items()}
-REFUSED |= {  # before any file is opened
-    name: unfit("option", said, lambda folder: folder / "gone.csv", **options)
-    for name, (options, said) in UNKNOWN.items()
+REFUSED |= {
+    what: unfit(
+        "option", said, one(file, text(GOOD) if file == "good.csv" else lambda path: None), **json.loads(options)
+    )
+    for what, file, said, options in rows_in("wrong_options.txt")
 }
 
 
