@@ -619,18 +619,15 @@ def test_paths_may_be_strings_lists_and_folders(planar3: ml.Robot, folder: Path)
         refusal(paths, planar3)
 
 
-LIBRARIES = [("rosbags", "readers.bags", "ros"), ("pyarrow", "readers.lerobot", "lerobot")]
-LIBRARIES += [("h5py", "readers.hdf5", "robomimic")]
-
-
-@pytest.mark.parametrize(("missing", "module", "extra"), LIBRARIES)
+@pytest.mark.parametrize(("missing", "module", "extra"), rows_in("missing_libraries.txt"))
 def test_missing_libraries_name_the_extra(missing: str, module: str, extra: str, monkeypatch) -> None:
     """Without the library: one sentence with the pip command, not an ImportError."""
-    for name in [n for n in sys.modules if n.startswith("manip_learn.recordings.")]:
+    parts = ("manip_learn.recordings.", f"manip_learn.{module}", f"{missing}.")
+    for name in [n for n in sys.modules if n.startswith(parts)]:
         monkeypatch.delitem(sys.modules, name)
     monkeypatch.setitem(sys.modules, missing, None)
     with pytest.raises(MissingExtraError, match=rf"manip_learn\[{extra}\]"):
-        importlib.import_module(f"manip_learn.recordings.{module}")
+        importlib.import_module(f"manip_learn.{module}")
 
 
 # ---- selected episodes
