@@ -113,6 +113,7 @@ NUMBERS: list[tuple] = [  # tables whose numbers are wrong
     ("constant_time.csv", "too-short", numbers(TABLE * [0.0, 1.0, 1.0, 1.0])),
     ("repeated_rows.csv", "note", numbers(np.repeat(TABLE, 2, axis=0))),
     ("all_rows_the_same.csv", "too-short", numbers(np.repeat(TABLE[:1], 5, axis=0))),
+    ("lone_sample.csv", "note", numbers(TABLE[[*range(30), 55]])),
     ("gap.csv", "note", numbers(TABLE + np.array([1.0, 0.0, 0.0, 0.0]) * LATE * 5.0)),
     ("milliseconds_stated.csv", "accept", numbers(TABLE * [1e3, 1, 1, 1]), {"time_unit": "ms"}),
     ("milliseconds_velocities.csv", "note", numbers(FULL * [1e3, 1, 1, 1, 1, 1, 1])),
@@ -139,6 +140,8 @@ def other_kind_cases() -> list[tuple]:
         ("matlab.mat", "damaged", raw(b"MATLAB 5.0 MAT-file, Platform: GLNXA64" + bytes(100))),
         ("random.bin", "unknown-format", raw(np.random.default_rng(0).bytes(3000))),
         ("prose.txt", "no-time", text("Dear reader,\nthis is a letter.\n")),
+        ("aliases.yaml", "damaged", text("name: [a]\nposition: &p [1]\nvelocity: *p\n")),
+        ("no_end.yaml", "damaged", text("header:\n  stamp:\n    sec: 1\nname: [a\nposition: ]")),
     ]
 
 
@@ -164,6 +167,7 @@ def archive_cases() -> list[tuple]:
         ("text_array.npz", "not-a-number", but(q=Q.astype(str))),
         ("transposed.npz", "note", but(q=Q.T)),
         ("flat.npz", "shape", but(q=Q[:, 0])),
+        ("two_positions.npz", "missing-array", npz(time=TIME, measured_q=Q, other_q=Q, joint_names=names)),
         ("longer_u.npz", "shape", but(u=U[:-1])),
         ("empty_arrays.npz", "too-short", npz(time=TIME[:0], q=Q[:0], joint_names=names)),
         ("bomb.npz", "bomb", members(method=zipfile.ZIP_DEFLATED, time=npy(np.zeros(4_000_000)), q=zeros)),
@@ -236,7 +240,11 @@ def stub_cases() -> list[tuple]:
         ("empty_folder", "no-recordings", folder({})),
         ("folder_of_notes", "no-recordings", folder({"README.md": "hello there", "x.json": "{}"})),
         ("one_bad_in_folder", "ragged", folder({"a.csv": GOOD, "b.csv": GOOD[:-14] + "\n"})),
-        ("folder_with_readme", "note", folder({"a.csv": GOOD, "README.md": "hello there"})),
+        (
+            "folder_with_readme",
+            "note",
+            folder({"a.csv": GOOD, "README.md": "hello there", "b.yaml": "position: [1]\n"}),
+        ),
         ("not_there.csv", "missing-file", lambda path: None),
     ]
 

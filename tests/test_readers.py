@@ -480,6 +480,8 @@ REFUSED = {
     "names of joints are no positions": unfit("missing-array", "rename={'NAME': 'q'}", one("a.npz", NAMES_FIRST)),
     **{f"robomimic, link to {name}": unfit("link", "", linked(make), **GIVEN) for name, make in LINKS.items()},
     **{f"robomimic, {name}": unfit(code, "", linked(make), **GIVEN) for name, (code, make) in HDF5.items()},
+    "four dimensions": unfit("shape", "must have shape", archive(q=Q[None, None])),
+    "one text for all names": unfit("shape", "a list of names", archive(joint_names=None, names=np.array("a b c"))),
     "velocities alone": unfit("no-positions", "velocities of 3 joints are recorded", bag("ros1", POSITIONLESS)),
     "no such topic": unfit("unknown-topic", "/command", COMMANDED, topics=["/wnted"]),
     "a forgotten GUI": unfit(
@@ -491,11 +493,10 @@ REFUSED = {
     "a packed bomb": packed("sqlite", lambda path: path.write_bytes(BOMB), mode=CompressionMode.FILE),
     "a packed message": packed("sqlite", bomb_in_a_message, mode=CompressionMode.MESSAGE),
 }  # fmt: skip
+FILES = {"good.csv": text(GOOD), "bare.csv": text(GOOD.partition("\n")[2]), "gone.csv": lambda path: None}
 REFUSED |= {
-    what: unfit(
-        "option", said, one(file, text(GOOD) if file == "good.csv" else lambda path: None), **json.loads(options)
-    )
-    for what, file, said, options in rows_in("wrong_options.txt")
+    what: unfit(code, said, one(file, FILES[file]), **json.loads(options))
+    for what, file, code, said, options in rows_in("wrong_options.txt")
 }
 
 
