@@ -49,6 +49,7 @@ def test_frozen_through_and_through():
     [
         ({"time": [], "q": np.zeros((0, 2)), "u": None, "effort": None}, "empty", "no samples"),
         ({"time": [0, 1, 2]}, "shape", "got"),
+        ({"time": [[0, 1, 2, 3, 4]]}, "shape", "dimension"),
         ({"effort": np.zeros((5, 1))}, "shape", "effort must have shape"),
         ({"effort": np.where(np.eye(5, 2), np.nan, 0.0)}, "not-finite", "effort of sample 0, joint 'a' is nan"),
         ({"q": [[1.0, 2.0], [3.0]]}, "not-a-number", "must be numbers"),
@@ -142,6 +143,10 @@ def test_arrays_are_read_like_files(demos: Demonstrations, features: ml.FrameJac
     ("spoil", "code", "words"),
     [
         (lambda t: t.q, "type", "has no times"),
+        (lambda t: (["early"] * len(t), t.q), "not-a-number", "could not convert"),
+        (lambda t: [(t.time[None], t.q)], "shape", "time"),
+        (lambda t: [pd.DataFrame()], "empty", "it is empty"),
+        (lambda t: [Demonstrations([t]).to_frame().assign(time="early")], "not-a-number", "numbers are needed"),
         (lambda t: (t.time, t.q[:, :6]), "shape", "q has 6 columns, robot 'sawyer' has 7 joints"),
         (lambda t: (t.time, np.degrees(t.q)), "degrees", "look like degrees"),
         (lambda t: (t.time[::-1], t.q), "time-order", "time goes back in 338 of 338 steps"),

@@ -280,6 +280,10 @@ BAGS = {
     ),
     "efforts of some messages": read(bag("mcap", but_one(lambda *c: c[:4], some("/joint_states", (0, 1, 2)))), ""),
     "a command beside": read(COMMANDED, "/command", u=U),
+    "velocities of one publisher": read(
+        bag("mcap", all_in_one(("joint1", "joint2")), some("/wrist", (2,))), "velocities", atol=1e-12
+    ),
+    "two efforts": read(bag("mcap", but_one(lambda *c: (*c, (1.0, 2.0)))), "1 message of /joint_states", u=U),
     "the command": read(COMMANDED, "", q=Q + 0.1, u=U, topics=["/command"]),
     "one message of other joints": read(
         bag("mcap", but_one(lambda s, _, *c: (s, ("joint1", "joint2", "jointX"), *c))),
@@ -480,8 +484,10 @@ REFUSED = {
     "names of joints are no positions": unfit("missing-array", "rename={'NAME': 'q'}", one("a.npz", NAMES_FIRST)),
     **{f"robomimic, link to {name}": unfit("link", "", linked(make), **GIVEN) for name, make in LINKS.items()},
     **{f"robomimic, {name}": unfit(code, "", linked(make), **GIVEN) for name, (code, make) in HDF5.items()},
+    "a stamp less": unfit("shape", "they have", archive(time=TIME[:-1], u=None)),
     "four dimensions": unfit("shape", "must have shape", archive(q=Q[None, None])),
     "one text for all names": unfit("shape", "a list of names", archive(joint_names=None, names=np.array("a b c"))),
+    "a bag of other joints": unfit("missing-joint", "joint3", bag("mcap", some("/arm", (0, 1)))),
     "velocities alone": unfit("no-positions", "velocities of 3 joints are recorded", bag("ros1", POSITIONLESS)),
     "no such topic": unfit("unknown-topic", "/command", COMMANDED, topics=["/wnted"]),
     "a forgotten GUI": unfit(
