@@ -10,9 +10,9 @@ from pathlib import Path
 import hypothesis
 import numpy as np
 import pytest
-from case import case, rows_in
+from case import DATA, case, rows_in
 from hypothesis import strategies as st
-from urdf_corpus import ARM, CASES, chain, dae, mimic_chain
+from urdf_corpus import ARM, CASES, DAE, chain, mimic_chain
 
 import manip_learn as ml
 from manip_learn.errors import NotIdentifiableError, RobotError, UnknownNameError
@@ -43,7 +43,7 @@ def test_the_unit_of_a_collada_file_is_applied(tmp_path):
     sizes = {}
     for unit in ("1", "0.001", "0.0254"):
         path = tmp_path / f"{unit}.dae"
-        path.write_bytes(dae().replace(b'meter="1"', f'meter="{unit}"'.encode()))
+        path.write_bytes(DAE.replace(b'meter="1"', f'meter="{unit}"'.encode()))
         made = read_meshes([path])[path]
         assert isinstance(made, Mesh), made
         sizes[unit] = float(np.ptp(made.vertices, axis=0).max())
@@ -147,16 +147,6 @@ def test_every_case_gets_its_verdict_and_its_sentence(rng):
     assert sentences(rng) == GOLDEN.read_text(encoding="utf-8").splitlines()
 
 
-MJCF = """<mujoco model="m"><compiler angle="degree" eulerseq="xyz"/>
-  <default><joint axis="0 1 0"/><default class="c"><joint type="slide" range="0 0.2"/></default></default>
-  <asset><mesh name="mesh" file="a.stl" scale="1 1 1"/></asset>
-  <worldbody><geom type="plane" size="1 1 1"/>
-    <body name="a" pos="0 0 0.3" euler="10 20 30"><joint name="j" range="-90 90" pos="0.1 0 0" ref="5"/>
-      <inertial pos="0 0 0" mass="1" diaginertia="0.1 0.1 0.1"/><geom type="capsule" size="0.1 0.2" rgba="1 0 0 1"/>
-      <body name="b" axisangle="0 0 1 45" childclass="c"><joint name="k"/><joint name="l" class="main" limited="false"/>
-        <geom mesh="mesh" type="mesh" quat="1 0 0 0"/><site name="tip" pos="0.1 0 0"/></body></body>
-    <body name="d" xyaxes="1 0 0 0 1 0"><freejoint name="f"/></body></worldbody>
-  <equality><joint joint1="l" joint2="j" polycoef="0.1 2 0 0 0"/></equality></mujoco>"""
 VALUES = (
     "nan inf -inf 0 -0 1 -1 1e308 1e-308 4e-324 1e999 4294967296 9223372036854775808 0x10 1e 1.2.3 1,5 universe world "
     "root_joint revolute continuous prismatic planar floating fixed spherical mimic package://a/b.stl x"
@@ -167,6 +157,7 @@ PIECES = (  # values, numbers, elements, names
     r"<[^<>/!?]*/>|<(?P<tag>joint|link|visual|inertial|body)\b.*?</(?P=tag)>",
     r"(?<=[</ ])[a-z]+(?=[ =>/])",
 )
+MJCF = (DATA / "arm.xml").read_text(encoding="utf-8")
 PARENTS = [ARM, ARM.replace('"revolute"', '"planar"', 1), MJCF, chain(4, "continuous").decode()]
 PARENTS += [chain(3, "floating").decode(), mimic_chain((2, 0, 1)).decode()]
 

@@ -5,26 +5,9 @@ from __future__ import annotations
 import struct
 from typing import Any, NamedTuple
 
-from case import rows_in
+from case import DATA, rows_in
 
-ARM = """<?xml version="1.0"?>
-<robot name="arm">
-  <link name="base"/>
-  <link name="upper">
-    <inertial><origin xyz="0.1 0 0"/><mass value="2"/>
-      <inertia ixx="0.1" ixy="0" ixz="0" iyy="0.1" iyz="0" izz="0.1"/></inertial>
-  </link>
-  <link name="tip"/>
-  <joint name="shoulder" type="revolute">
-    <origin xyz="0 0 0.3" rpy="0 0 0.1"/><parent link="base"/><child link="upper"/>
-    <axis xyz="0 0 1"/><limit lower="-2" upper="2.5" velocity="1" effort="10"/>
-  </joint>
-  <joint name="elbow" type="revolute">
-    <origin xyz="0.4 0 0"/><parent link="upper"/><child link="tip"/>
-    <axis xyz="0 1 0"/><limit lower="-1" upper="1.5" velocity="3" effort="20"/>
-  </joint>
-</robot>
-"""
+ARM = (DATA / "arm.urdf").read_text(encoding="utf-8")
 AXIS = '<axis xyz="0 0 1"/>'
 
 
@@ -164,23 +147,8 @@ def stl(n: int = 1, stated: int | None = None, value: float = 1.0) -> bytes:
     return bytes(80) + struct.pack("<I", n if stated is None else stated) + triangle * n
 
 
+DAE = (DATA / "triangle.dae").read_bytes()
 OBJ = b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n"
-
-
-def dae(image: str = "", head: str = "", positions: str = "0 0 0 1 0 0 0 1 0") -> bytes:
-    """A COLLADA document with one triangle."""
-    images = f"<library_images><image id='i'><init_from>{image}</init_from></image></library_images>" if image else ""
-    count = len(positions.split())
-    return f"""<?xml version="1.0"?>{head}
-<COLLADA xmlns="http://www.collada.org/2005/11/COLLADASchema" version="1.4.1"><asset><unit meter="1"/></asset>{images}
-<library_geometries><geometry id="g"><mesh><source id="p"><float_array id="pa" count="{count}">{positions}</float_array>
-<technique_common><accessor source="#pa" count="{count // 3}" stride="3"><param name="X" type="float"/>
-<param name="Y" type="float"/><param name="Z" type="float"/></accessor></technique_common></source>
-<vertices id="v"><input semantic="POSITION" source="#p"/></vertices>
-<triangles count="1"><input semantic="VERTEX" source="#v" offset="0"/><p>0 1 2</p></triangles></mesh></geometry>
-</library_geometries>
-<library_visual_scenes><visual_scene id="s"><node><instance_geometry url="#g"/></node></visual_scene>
-</library_visual_scenes><scene><instance_visual_scene url="#s"/></scene></COLLADA>""".encode()
 
 
 # Too many, too deep, too long.
