@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import bz2
 import os
 import re
 import socket
@@ -18,6 +19,9 @@ import pytest
 from case import case
 from recording_corpus import CASES, FULL, JOINTS, TIME, Q, U, npz, numbers, refusal
 from recording_formats import KINDS, Build, all_in_one, bag, file_of, h5py, one, pa, pq, robomimic, version_2
+from rosbags.rosbag1 import Writer as Writer1
+from rosbags.rosbag2 import CompressionMode
+from rosbags.rosbag2.reader import zstd
 
 import manip_learn as ml
 from manip_learn.cli import main
@@ -197,6 +201,34 @@ def bytes_of(change: Callable[[bytes], bytes]) -> Callable[[Path], Any]:
     return lambda path: path.write_bytes(change(path.read_bytes()))
 
 
+def bomb_in_a_block(path: Path) -> None:
+    """A block of 100 bytes that unpacks to 64 MB."""
+    content = path.read_bytes()
+    start = content.index(b"BZh")
+    (size,) = struct.unpack_from("<I", content, start - 4)
+    bomb = bz2.compress(bytes(64_000_000))
+    path.write_bytes(content[:start] + bomb + bytes(size - len(bomb)) + content[start + size :])
+
+
+def claimed_terabyte(path: Path) -> None:
+    """In the index, which is believed."""
+    content = bytearray(path.read_bytes())
+    struct.pack_into("<Q", content, content.rindex(b"zstd") + 12, 10**12)
+    path.write_bytes(content)
+
+
+BOMB = zstd.compress(bytes(60_000_000))
+
+
+def bomb_in_a_message(path: Path) -> None:
+    with sqlite3.connect(path) as database:
+        database.execute("UPDATE messages SET data = ? WHERE id = 20", (BOMB,))
+
+
+def in_bag(spoil: Callable[[Path], Any]) -> Callable[[Path], Any]:
+    return lambda path: spoil(next(path.glob("*.*[34pd]")) if path.is_dir() else path)
+
+
 SPARE = "CREATE TABLE spare (x)", "PRAGMA writable_schema = ON; DELETE FROM sqlite_master WHERE name = 'spare'"
 COUNTED = struct.pack("<HQ", 1, 60)  # messages of a channel, in the statistics
 HDF5 = one("demo.hdf5", lambda path: robomimic(path, (0, 1, 2), None))
@@ -210,6 +242,15 @@ LOST: dict[str, tuple[Any, Callable[[Path], Any], str, str, dict[str, Any]]] = {
     **{
         f"the attribute {name}": (HDF5, attribute(where, name), "lost-samples", f"{name!r}.*999", GIVEN)
         for where, name in (("data", "total"), ("data/demo_1", "num_samples"), ("data", "num_demos"))
+    },
+    **{
+        f"a bomb in {what}": (bag(kind, all_in_one(), **options), in_bag(spoil), "bomb", "unpack", {})
+        for what, kind, options, spoil in (
+            ("a block", "ros1", {"compression": Writer1.CompressionFormat.BZ2}, bomb_in_a_block),
+            ("the index", "mcap", {"mode": CompressionMode.STORAGE}, claimed_terabyte),
+            ("the database", "sqlite", {"mode": CompressionMode.FILE}, lambda path: path.write_bytes(BOMB)),
+            ("a message", "sqlite", {"mode": CompressionMode.MESSAGE}, bomb_in_a_message),
+        )
     },
     "a message of no topic": (
         lambda folder: file_of(bag("sqlite", all_in_one())(folder)),

@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import bz2
 import importlib
 import json
 import shutil
-import sqlite3
-import struct
 import sys
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -41,7 +38,6 @@ from recording_formats import (
 )  # fmt: skip
 from rosbags.rosbag1 import Writer as Writer1
 from rosbags.rosbag2 import CompressionMode
-from rosbags.rosbag2.reader import zstd
 from scipy.io import savemat
 
 import manip_learn as ml
@@ -401,46 +397,6 @@ HDF5 = {
 }
 
 
-def spoilt(build: Build, spoil: Any) -> Build:
-    """A bag whose file is changed."""
-
-    def write(folder: Path) -> Path:
-        path = build(folder)
-        spoil(next(path.glob("*.*[34pd]")) if path.is_dir() else path)
-        return path
-
-    return write
-
-
-def bomb_in_a_block(path: Path) -> None:
-    """A block of 100 bytes that unpacks to 64 MB."""
-    content = path.read_bytes()
-    start = content.index(b"BZh")
-    (size,) = struct.unpack_from("<I", content, start - 4)
-    bomb = bz2.compress(bytes(64_000_000))
-    path.write_bytes(content[:start] + bomb + bytes(size - len(bomb)) + content[start + size :])
-
-
-def claimed_terabyte(path: Path) -> None:
-    """In the index, which is believed."""
-    content = bytearray(path.read_bytes())
-    struct.pack_into("<Q", content, content.rindex(b"zstd") + 12, 10**12)
-    path.write_bytes(content)
-
-
-BOMB = zstd.compress(bytes(60_000_000))
-
-
-def bomb_in_a_message(path: Path) -> None:
-    with sqlite3.connect(path) as database:
-        database.execute("UPDATE messages SET data = ? WHERE id = 20", (BOMB,))
-
-
-def packed(kind: str, spoil: Any, **options: Any) -> Unfit:
-    """A bag that unpacks to more than any recording."""
-    return unfit("bomb", "", spoilt(bag(kind, all_in_one(), **options), spoil))
-
-
 POSITIONLESS = [(t, r, (s, n, (), u)) for t, r, (s, n, _, u) in all_in_one()]
 GUI = [(t, r + 8_000_000, (s + 8_000_000, n, Q[0] + 0.4)) for t, r, (s, n, *_) in all_in_one()]
 TWICE = but_one(lambda s, n, q, _: (s, (*n, "joint2"), (*q, 0.5)))
@@ -494,10 +450,6 @@ REFUSED = {
         "two-publishers", "joint.*Two programs published on one topic", bag("sqlite", all_in_one(u=None), GUI)
     ),
     "a joint twice": unfit("duplicate-column", "name the joint 'joint2' 2 times", bag("mcap", TWICE)),
-    "a bomb in a block": packed("ros1", bomb_in_a_block, compression=Writer1.CompressionFormat.BZ2),
-    "a claimed terabyte": packed("mcap", claimed_terabyte, mode=CompressionMode.STORAGE),
-    "a packed bomb": packed("sqlite", lambda path: path.write_bytes(BOMB), mode=CompressionMode.FILE),
-    "a packed message": packed("sqlite", bomb_in_a_message, mode=CompressionMode.MESSAGE),
 }  # fmt: skip
 FILES = {"good.csv": text(GOOD), "bare.csv": text(GOOD.partition("\n")[2]), "gone.csv": lambda path: None}
 REFUSED |= {
