@@ -116,11 +116,6 @@ def test_demonstrations_are_a_sequence():
 
 # ---- motions in memory
 @pytest.fixture(scope="module")
-def features() -> ml.FrameJacobian:
-    return ml.FrameJacobian(sawyer_drawer()[0], "right_gripper_tip")
-
-
-@pytest.fixture(scope="module")
 def demos() -> Demonstrations:
     return sawyer_drawer()[1]
 
