@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 import pickle
 from collections.abc import Callable
 from typing import Any
@@ -10,7 +11,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
-from case import case
+from case import case, rows_in
 from task_sets import sawyer_drawer
 
 import manip_learn as ml
@@ -44,25 +45,11 @@ def test_frozen_through_and_through():
         t.q = q  # type: ignore[misc]
 
 
-@pytest.mark.parametrize(
-    ("changes", "code", "words"),
-    [
-        ({"time": [], "q": np.zeros((0, 2)), "u": None, "effort": None}, "empty", "no samples"),
-        ({"time": [0, 1, 2]}, "shape", "got"),
-        ({"time": [[0, 1, 2, 3, 4]]}, "shape", "dimension"),
-        ({"effort": np.zeros((5, 1))}, "shape", "effort must have shape"),
-        ({"effort": np.where(np.eye(5, 2), np.nan, 0.0)}, "not-finite", "effort of sample 0, joint 'a' is nan"),
-        ({"q": [[1.0, 2.0], [3.0]]}, "not-a-number", "must be numbers"),
-        ({"time": [0, 1, 1, 2, 3]}, "time-order", "sample 2 is at 1"),
-        ({"time": [0, 1, np.nan, 2, 3]}, "not-finite", "sample 2"),
-        ({"q": [[0, 0], [0, np.nan], [0, 0], [0, 0], [0, 0]]}, "not-finite", "sample 1, joint 'b' is nan"),
-        ({"joint_names": ("a", "a")}, "duplicate-joint", "must differ"),
-    ],
-)
-def test_what_cannot_be_used_is_refused_by_name(changes: dict[str, Any], code: str, words: str):
+@pytest.mark.parametrize(("code", "words", "entries"), rows_in("wrong_trajectories.txt"))
+def test_what_cannot_be_used_is_refused_by_name(code: str, words: str, entries: str):
     """The trajectory, the sample, the joint and the value."""
     with pytest.raises(RecordingError) as caught:
-        trajectory(**changes)
+        trajectory(**json.loads(entries))
     assert words in str(caught.value) and str(caught.value).startswith("demo: ") and caught.value.code == code
 
 
@@ -76,8 +63,9 @@ def test_parts():
     np.testing.assert_array_equal(t.with_joint_names(("c", "d")).effort, t.effort)
     assert not Demonstrations([trajectory(), bare]).has_velocities
     assert t.part(slice(0, 2), "start").name == "start" and t.duration == pytest.approx(0.5)
-    with pytest.raises(RecordingError, match="no samples"):
+    with pytest.raises(RecordingError, match="demo: .*no samples") as caught:
         t.part(slice(3, 3))
+    assert caught.value.code == "empty"
     long = trajectory(T=100, time=np.arange(100) * 0.1 + 5.0)
     np.testing.assert_array_equal(long[6.0:7.0].effort, long.effort[10:21])
     assert len(long[:6.0]) == 11 and len(long[14.0:]) == 10

@@ -326,7 +326,6 @@ def unfit(code: str, words: str, build: Build, **options: Any) -> Unfit:
 
 
 REMARKS = ("recorded by hand", "1, 2, 3, 4", "time, joint1, joint2")
-NUMBERED = table("time,q0,q1,q2,q3", TIME, Q, TIME)
 STATES = motion(0).tolist()
 NO_NAMES = ({"joint2": 5, "joint1": 0, "joint3": 1}, None, [], {}, [1, 2, 3], "abc", {"motors": "abc"})
 GAPS = {
@@ -406,13 +405,6 @@ REFUSED = {
     "a column of text": unfit("not-a-number", "phase", table(HEADER + ",phase", TABLE, ["reach out"] * 60)),
     **{f"a remark {r!r}": unfit("no-header", ":2:", table(f"# {r}\n{TABLE[0, 0]},0,2,0", TABLE[1:])) for r in REMARKS},
     "commands alone": unfit("columns", "columns='target.{joint}'", table(header("target.{}"), TABLE)),
-    "a gap in the numbers": unfit("columns", "numbered 0, 1, 3", table("time,q0,q1,q3", TABLE), columns="q{index}"),
-    "more numbers than joints": unfit("columns", "4 such columns and 3 moving joints", NUMBERED, columns="q{index}"),
-    "no such column": unfit("columns", "no column 'pos.joint1'", table(HEADER, TABLE), columns="pos.{joint}"),
-    **{
-        f"the pattern {bad}": unfit("option", "", NUMBERED, columns=bad)
-        for bad in ("q", "{joint}{index}", ["a{joint}", "b{joint}", "c{joint}"])
-    },
     "a joint too many": unfit(
         "unknown-column", "no joint of robot", archive(q=TABLE, u=None, joint_names=["copy", *JOINTS])
     ),
@@ -451,7 +443,11 @@ REFUSED = {
     ),
     "a joint twice": unfit("duplicate-column", "name the joint 'joint2' 2 times", bag("mcap", TWICE)),
 }  # fmt: skip
-FILES = {"good.csv": text(GOOD), "bare.csv": text(GOOD.partition("\n")[2]), "gone.csv": lambda path: None}
+FILES = {
+    **{"good.csv": text(GOOD), "bare.csv": text(GOOD.partition("\n")[2]), "gone.csv": lambda path: None},
+    "numbered.csv": text(csv(np.column_stack([TABLE, TIME]), "time,q0,q1,q2,q3")),
+    "gap.csv": text(csv(TABLE, "time,q0,q1,q3")),
+}
 REFUSED |= {
     what: unfit(code, said, one(file, FILES[file]), **json.loads(options))
     for what, file, code, said, options in rows_in("wrong_options.txt")
