@@ -291,7 +291,7 @@ def test_patterns_of_names_in_python(planar3: ml.Robot, tmp_path: Path) -> None:
     is not joint 1 misspelt: only the robot's order is offered, which the user must confirm.
     """
     path, _ = WRITERS["NPZ"](tmp_path, CALLED["a prefix"], Q)
-    for rename in ("left_{joint}", {"left_joint{joint}": "joint{joint}"}):
+    for rename in ("left_{joint}", "left_joint{index}", {"left_joint{joint}": "joint{joint}"}):
         np.testing.assert_array_equal(ml.load_demonstrations(path, planar3, rename=rename)[0].q, Q)
     for rename in ("left_", {"left_{joint}": "joint1"}, {"left_joint{index}": "joint1"}, {"left_{joint}": 3}):
         assert refusal(path, planar3, rename=rename).code == "option"

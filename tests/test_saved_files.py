@@ -98,7 +98,9 @@ def test_a_rollout_comes_back_bit_for_bit(suffix: str, arms: Path, tmp_path: Pat
 def test_a_rollout_can_be_learnt_from_again(planar3: Robot, robot_of, tmp_path: Path) -> None:
     """The same motion, limits are not used to doubt our own units; continuous joints as (cos, sin) become angles."""
     rollout = Rollout(TIME, Q * 10.0, U * 10.0, TIME, ("ok",) * 60, planar3.joint_names, TIME)
-    demos = ml.load_demonstrations(rollout.save(tmp_path / "r.npz"), planar3)
+    path = rollout.save(tmp_path / "r.npz")
+    demos = ml.load_demonstrations(path, planar3)
+    assert refusal(path, planar3, units="degrees").code == "units"
     assert any("beyond their limits" in note for note in demos.notes)
     wrist = robot_of("wrist")
     positions = np.column_stack([3.0 + TIME, 0.1 * TIME, 6.0 * TIME, 0.2 * TIME])
