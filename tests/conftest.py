@@ -26,6 +26,7 @@ if os.environ.get("CHECK_SHAPES", "0") != "0":
 import numpy as np  # noqa: E402
 
 from manip_learn.cli import main  # noqa: E402
+from manip_learn.constraint.features import FrameJacobian  # noqa: E402
 from manip_learn.robot.loading import load_robot  # noqa: E402
 from manip_learn.robot.robot import Robot  # noqa: E402
 
@@ -142,6 +143,12 @@ def robot_of(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Robot]
 def sawyer(robot_of: Callable[[str], Robot]) -> Robot:
     """The shipped seven-joint arm."""
     return robot_of("sawyer")
+
+
+@pytest.fixture(scope="session")
+def features(sawyer: Robot) -> FrameJacobian:
+    """Where the gripper of the shipped seven-joint arm goes."""
+    return FrameJacobian(sawyer, "right_gripper_tip", "xyz")
 
 
 @pytest.fixture(scope="session")

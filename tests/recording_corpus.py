@@ -19,6 +19,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
+from case import rows_in
 
 from manip_learn.errors import RecordingError
 from manip_learn.recordings import load_demonstrations
@@ -51,11 +52,9 @@ def refusal(*given: Any, match: str | None = None, **options: Any) -> RecordingE
     return caught.value
 
 
-def csv(rows: np.ndarray, header: str = HEADER, delimiter: str = ",", mark: str = ".") -> str:
+def csv(rows: np.ndarray, header: str = HEADER) -> str:
     """A text table."""
-    lines = [header.replace(",", delimiter)]
-    lines += [delimiter.join(f"{x:.9g}".replace(".", mark) for x in row) for row in rows]
-    return "\n".join(lines) + "\n"
+    return "\n".join([header, *(",".join(f"{x:.9g}" for x in row) for row in rows), ""])
 
 
 def text(content: str, encoding: str = "utf-8") -> Write:
@@ -79,133 +78,16 @@ def numbers(rows: np.ndarray, header: str = HEADER) -> Write:
     return text(csv(rows, header if rows.shape[1] < 5 else header + VELOCITIES))
 
 
-def changed(row: int, column: int, value: float, table: np.ndarray = TABLE) -> Write:
-    table = table.copy()
-    table[row, column] = value
-    return numbers(table)
-
-
 GOOD = csv(TABLE)
-LINES = GOOD.split("\n")
 
 
-def line_9(line: str) -> Write:
-    """The good table with another ninth line, as an editor counts them."""
-    return text("\n".join([*LINES[:8], line, *LINES[9:]]))
-
-
-TEXT: list[tuple] = [  # tables that are written in an odd or wrong way
-    ("good.csv", "accept", text(GOOD)),
-    ("semicolon_decimal_comma.csv", "accept", text(csv(TABLE, delimiter=";", mark=","))),
-    ("tab.tsv", "accept", text(csv(TABLE, delimiter="\t"))),
-    ("spaces.txt", "accept", text(csv(TABLE, delimiter="   "))),
-    ("byte_order_mark.csv", "accept", text("\ufeff" + GOOD)),
-    ("utf16.csv", "encoding", text(GOOD, "utf-16")),
-    ("windows_lines.csv", "accept", text(GOOD.replace("\n", "\r\n"))),
-    ("old_mac_lines.csv", "accept", text(GOOD.replace("\n", "\r"))),
-    ("comments.csv", "accept", text("# made by hand\n% and so\n\n" + GOOD)),
-    ("wrong_extension.bag", "accept", text(GOOD)),
-    ("no_last_line_end.csv", "note", text(GOOD.rstrip("\n"))),
-    ("commented_header.csv", "note", text("# " + GOOD)),
-    ("empty.csv", "empty", text("")),
-    ("blank.csv", "empty", text("\n\n  \n")),
-    ("header_only.csv", "too-short", text(HEADER + "\n")),
-    ("one_row.csv", "too-short", numbers(TABLE[:1])),
-    ("stamp.csv", "note", numbers(TABLE, "stamp,joint1,joint2,joint3")),
-    ("unnamed_column.csv", "note", columns(HEADER + ",", TABLE, TIME)),
-    ("column_twice.csv", "duplicate-column", numbers(TABLE, "time,joint1,joint1,joint3")),
-    ("extra_velocity.csv", "unknown-column", columns(HEADER + VELOCITIES + ",joint9_velocity", FULL, TIME)),
-    ("some_velocities.csv", "accept", columns(HEADER + VELOCITIES[:32], FULL[:, :6])),
-    ("text_in_number.csv", "not-a-number", line_9("0.14,0.1,x,0.07")),
-    ("empty_field.csv", "not-a-number", line_9("0.14,,1.9,0.07")),
-    ("trailing_comment.csv", "not-a-number", line_9("0.14,0.1,1.9,0.07 # here")),
-    ("arabic_digits.csv", "not-a-number", line_9("0.14,\u0661,1.9,0.07")),
-    ("short_row.csv", "ragged", line_9("0.14,0.1,1.9")),
-    ("long_row.csv", "ragged", line_9("0.14,0.1,1.9,0.07,5")),
-    ("decimal_comma_in_commas.csv", "ragged", text(csv(TABLE, mark=","))),
-    ("mixed_marks.csv", "decimal-mark", text(csv(TABLE, delimiter=";") + "1,3;1;2;3\n")),
-    ("thousands.csv", "decimal-mark", text(csv(TABLE, delimiter=";") + "1.000,5;1;2;3\n")),
-    ("cut_off.csv", "note", text(GOOD[:-14])),
-    ("cut_inside_last_number.csv", "note", text(GOOD[:-4])),
-    ("latin1.csv", "encoding", raw(GOOD.encode() + "0.5,\u00e9,1,1\n".encode("latin-1"))),
-    ("long_line.csv", "line-too-long", text("time," + "x" * 1_100_000)),
-]
-
-
-LATE = (np.arange(60) >= 30)[:, None]
-NUMBERS: list[tuple] = [  # tables whose numbers are wrong
-    ("nan.csv", "not-finite", changed(7, 2, np.nan)),
-    ("infinite.csv", "not-finite", changed(7, 2, np.inf)),
-    ("too_large_for_float.csv", "not-finite", line_9("0.14,1e999,1.9,0.07")),
-    ("nan_velocity.csv", "accept", changed(7, 5, np.nan, FULL)),
-    ("backward_time.csv", "time-order", numbers(TABLE[::-1])),
-    ("two_recordings.csv", "note", numbers(np.vstack([TABLE, TABLE]))),
-    ("same_stamp.csv", "note", changed(8, 0, TABLE[7, 0])),
-    ("constant_time.csv", "too-short", numbers(TABLE * [0.0, 1.0, 1.0, 1.0])),
-    ("repeated_rows.csv", "note", numbers(np.repeat(TABLE, 2, axis=0))),
-    ("all_rows_the_same.csv", "too-short", numbers(np.repeat(TABLE[:1], 5, axis=0))),
-    ("gap.csv", "note", numbers(TABLE + np.array([1.0, 0.0, 0.0, 0.0]) * LATE * 5.0)),
-    ("milliseconds_stated.csv", "accept", numbers(TABLE * [1e3, 1, 1, 1]), {"time_unit": "ms"}),
-    ("milliseconds_velocities.csv", "note", numbers(FULL * [1e3, 1, 1, 1, 1, 1, 1])),
-    ("nanoseconds_1970.csv", "too-short", numbers(TABLE * [1e9, 1, 1, 1] + [1.7e18, 0, 0, 0])),
-    ("milliseconds_1970.csv", "too-short", numbers(TABLE * [1e3, 1, 1, 1] + [1.7e12, 0, 0, 0])),
-    ("degrees_stated.csv", "note", numbers(TABLE * [1, 57.3, 57.3, 57.3]), {"degrees": True}),
-    ("radians_as_degrees.csv", "outside-limits", numbers(TABLE * [1, 57.3, 57.3, 57.3]), {"units": "radians"}),
-    ("small_degrees.csv", "degrees", numbers(FULL * [1, 5.73, 5.73, 5.73, 0.1, 0.1, 0.1])),
-    ("outlier.csv", "outside-limits", changed(30, 2, 1e8)),
-    ("spike.csv", "jump", changed(30, 2, 9.0)),
-    ("full_turn.csv", "jump", numbers(TABLE + LATE * [0, 6.2832, 0, 0])),
-]
-
-
-def other_kind_cases() -> list[tuple]:
-    """Files that are no recordings at all."""
-    return [
-        ("pickle.pkl", "pickle", raw(pickle.dumps({"q": Q}))),
-        ("bare_array.npy", "no-joint-names", raw(npy(Q))),
-        ("compressed.csv.gz", "compressed", raw(gzip.compress(GOOD.encode()))),
-        ("zipped.zip", "compressed", archive_of([("demo.csv", GOOD.encode())])),
-        ("workbook.xlsx", "excel", archive_of([("xl/workbook.xml", b"<workbook/>")])),
-        ("lfs_pointer.bag", "git-lfs", text("version https://git-lfs.github.com/spec/v1\noid sha256:00\nsize 9\n")),
-        ("robot.urdf", "not-a-recording", text('<?xml version="1.0"?><robot name="r"/>')),
-        ("settings.json", "not-a-recording", text('{"time": [0, 1]}')),
-        ("matlab.mat", "damaged", raw(b"MATLAB 5.0 MAT-file, Platform: GLNXA64" + bytes(100))),
-        ("random.bin", "unknown-format", raw(np.random.default_rng(0).bytes(3000))),
-        ("prose.txt", "no-time", text("Dear reader,\nthis is a letter.\n")),
-    ]
-
-
-def archive_cases() -> list[tuple]:
-    """NumPy archives."""
-    names = np.array(JOINTS)
-    good = {"time": TIME, "q": Q, "u": U, "joint_names": names}
-
-    def but(**arrays: Any) -> Write:
-        return npz(**{**good, **arrays})
-
-    q, n = npy(Q), npy(names)
-    zeros, header = npy(np.zeros((4_000_000, 3))), npy(np.zeros((60, 3)))
-    larger = header.replace(b"(60, 3), }" + b" " * 12, b"(300000000, 3), }" + b" " * 5)  # 7 GB that are not there
-    members = partial(arrays_of, joint_names=n)
-    return [
-        ("good.npz", "accept", npz(**good)),
-        ("names_given.npz", "accept", npz(time=TIME, q=Q), {"joint_names": JOINTS}),
-        ("more_arrays.npz", "note", but(camera=np.zeros((4, 4)))),
-        ("objects.npz", "pickle", but(q=Q.astype(object))),
-        ("complex.npz", "not-a-number", but(q=Q.astype(complex))),
-        ("booleans.npz", "not-a-number", but(q=Q > 0)),
-        ("text_array.npz", "not-a-number", but(q=Q.astype(str))),
-        ("transposed.npz", "note", but(q=Q.T)),
-        ("flat.npz", "shape", but(q=Q[:, 0])),
-        ("longer_u.npz", "shape", but(u=U[:-1])),
-        ("empty_arrays.npz", "too-short", npz(time=TIME[:0], q=Q[:0], joint_names=names)),
-        ("bomb.npz", "bomb", members(method=zipfile.ZIP_DEFLATED, time=npy(np.zeros(4_000_000)), q=zeros)),
-        ("header_asks_for_more.npz", "damaged", members(time=npy(TIME), q=larger)),
-        ("header_is_code.npz", "damaged", members(time=npy(TIME), q=q.replace(b": (60, 3)", b": exit(9)"))),
-        ("same_array_twice.npz", "duplicate-column", archive_of([("time.npy", npy(TIME)), *[("q.npy", q)] * 2])),
-        ("cut_off.npz", "damaged", spoilt(npz(**good), lambda b: b[: len(b) // 2])),
-        ("flipped_bits.npz", "damaged", spoilt(npz(time=TIME, q=Q, joint_names=names), flipped)),
-    ]
+def edited(*texts: str) -> Write:
+    """The good table with texts replaced wherever they occur: one by the next, as they stand in a JSON string."""
+    content, texts = GOOD, json.loads('["' + '","'.join(texts) + '"]')
+    for old, new in zip(texts[::2], texts[1::2], strict=True):
+        assert old in content, old
+        content = content.replace(old, new) if old else content
+    return text(content)
 
 
 def npy(array: np.ndarray) -> bytes:
@@ -247,58 +129,6 @@ def folder(files: dict[str, str | bytes]) -> Write:
     return write
 
 
-def stub_cases() -> list[tuple]:
-    """Beginnings of heavy formats with nothing sensible behind."""
-    info = json.dumps({"codebase_version": "v1.6", "features": {}})
-
-    def noise(seed: int) -> bytes:
-        return np.random.default_rng(seed).bytes(5000)
-
-    return [
-        ("stub.bag", "damaged", raw(b"#ROSBAG V2.0\n" + bytes(200))),
-        ("old.bag", "old-bag", raw(b"#ROSBAG V1.2\n" + bytes(200))),
-        ("random.bag", "damaged", raw(b"#ROSBAG V2.0\n" + noise(1))),
-        ("random.mcap", "damaged", raw(b"\x89MCAP0\r\n" + noise(2))),
-        ("random.db3", "damaged", raw(b"SQLite format 3\x00" + noise(3))),
-        ("random.parquet", "damaged", raw(b"PAR1" + noise(4) + b"PAR1")),
-        ("random.hdf5", "damaged", raw(b"\x89HDF\r\n\x1a\n" + noise(5))),
-        ("stub.csv.zst", "compressed", raw(b"\x28\xb5\x2f\xfd" + bytes(50))),
-        ("lerobot_v1", "version", folder({"meta/info.json": info, "data/episode_000000.parquet": b"PAR1"})),
-        ("lerobot_no_data", "empty", folder({"meta/info.json": "{}"})),
-        ("ros2_no_storage", "damaged", folder({"metadata.yaml": "a: [1"})),
-        ("empty_folder", "no-recordings", folder({})),
-        ("folder_of_notes", "no-recordings", folder({"README.md": "hello there", "x.json": "{}"})),
-        ("one_bad_in_folder", "ragged", folder({"a.csv": GOOD, "b.csv": GOOD[:-14] + "\n"})),
-        ("folder_with_readme", "note", folder({"a.csv": GOOD, "README.md": "hello there"})),
-        ("not_there.csv", "missing-file", lambda path: None),
-    ]
-
-
-def claim_cases() -> list[tuple]:
-    """Files of each format that claim to hold more than any recording: refused before it is read."""
-    wide = HEADER + "".join(f",c{i}" for i in range(10_000))
-    deep = "[" * 200 + "]" * 200
-    q = np.zeros((2, 10_001))
-    rate, units = {"joint_names": JOINTS, "rate": 50.0}, {"joint_names": JOINTS, "units": "radians"}
-
-    def lerobot(info: str) -> Write:
-        return folder({"meta/info.json": info, "data/file-000.parquet": "PAR1"})
-
-    return [
-        ("wide.csv", "too-large", text(wide + "\n" + ",".join(["1"] * 10_004) + "\n")),
-        ("wide.npz", "too-large", npz(True, time=TIME[:2], q=q, joint_names=np.array(JOINTS))),
-        ("deep_lerobot", "damaged", lerobot(deep)),
-        ("large_lerobot", "too-large", lerobot(" " * 10_000_001)),
-        ("deep_bag", "damaged", folder({"metadata.yaml": deep})),
-        ("large_bag", "too-large", folder({"metadata.yaml": " " * 10_000_001})),
-        ("wide.hdf5", "too-large", partial(hdf5, shape=q.shape), rate),
-        ("bomb.hdf5", "bomb", partial(hdf5, shape=(4_000_000, 3)), rate),
-        ("huge.hdf5", "too-large", partial(hdf5, shape=(10**9, 3)), rate),
-        ("bomb.parquet", "bomb", parquet_bomb, units),
-        ("bomb_episode.parquet", "bomb", parquet_bomb, {**units, "episodes": 0}),
-    ]
-
-
 def hdf5(path: Path, shape: tuple[int, int]) -> None:
     """Positions of which only the first chunk is stored, packed."""
     with importlib.import_module("h5py").File(path, "w") as file:
@@ -316,5 +146,120 @@ def parquet_bomb(path: Path) -> None:
     pq.write_table(pa.table({"observation.state": state, "timestamp": index, "episode_index": index}), path)
 
 
-CHAPTERS = (TEXT, NUMBERS, other_kind_cases(), archive_cases(), stub_cases(), claim_cases())
-CASES = [Case(*row) for chapter in CHAPTERS for row in chapter]
+LATE = (np.arange(60) >= 30)[:, None]
+NAMES = np.array(JOINTS)
+ARRAYS = {"time": TIME, "q": Q, "u": U, "joint_names": NAMES}
+members = partial(arrays_of, joint_names=npy(NAMES))
+# 7 GB that are not there
+LARGER = npy(np.zeros((60, 3))).replace(b"(60, 3), }" + b" " * 12, b"(300000000, 3), }" + b" " * 5)
+OLD = json.dumps({"codebase_version": "v1.6", "features": {}})
+WIDE, DEEP = np.zeros((2, 10_001)), "[" * 200 + "]" * 200
+RATE, RADIANS = {"joint_names": JOINTS, "rate": 50.0}, {"joint_names": JOINTS, "units": "radians"}
+
+
+def but(**arrays: Any) -> Write:
+    return npz(**{**ARRAYS, **arrays})
+
+
+def lerobot(info: str) -> Write:
+    return folder({"meta/info.json": info, "data/file-000.parquet": "PAR1"})
+
+
+def noise(seed: int, before: bytes, after: bytes = b"") -> Write:
+    return raw(before + np.random.default_rng(seed).bytes(5000) + after)
+
+
+ROWS: list[tuple] = [
+    # tables that are written in an odd or wrong way
+    *((name, verdict, edited(*replaced)) for name, verdict, *replaced in rows_in("odd_tables.txt")),
+    ("utf16.csv", "encoding", text(GOOD, "utf-16")),
+    ("one_row.csv", "too-short", numbers(TABLE[:1])),
+    ("unnamed_column.csv", "note", columns(HEADER + ",", TABLE, TIME)),
+    ("extra_velocity.csv", "unknown-column", columns(HEADER + VELOCITIES + ",joint9_velocity", FULL, TIME)),
+    ("some_velocities.csv", "accept", columns(HEADER + VELOCITIES[:32], FULL[:, :6])),
+    ("latin1.csv", "encoding", raw(GOOD.encode() + "0.5,\u00e9,1,1\n".encode("latin-1"))),
+    ("long_line.csv", "line-too-long", text("time," + "x" * 1_100_000)),
+    *((name, verdict, text(json.loads(f'"{content}"'))) for name, verdict, content in rows_in("odd_files.txt")),
+    # tables whose numbers are wrong
+    ("nan_velocity.csv", "accept", numbers(np.where(FULL == FULL[7, 5], np.nan, FULL))),
+    ("backward_time.csv", "time-order", numbers(TABLE[::-1])),
+    ("two_recordings.csv", "note", numbers(np.vstack([TABLE, TABLE]))),
+    ("constant_time.csv", "too-short", numbers(TABLE * [0.0, 1.0, 1.0, 1.0])),
+    ("repeated_rows.csv", "note", numbers(np.repeat(TABLE, 2, axis=0))),
+    ("all_rows_the_same.csv", "too-short", numbers(np.repeat(TABLE[:1], 5, axis=0))),
+    ("lone_sample.csv", "note", numbers(TABLE[[*range(30), 55]])),
+    ("gap.csv", "note", numbers(TABLE + np.array([1.0, 0.0, 0.0, 0.0]) * LATE * 5.0)),
+    ("milliseconds_stated.csv", "accept", numbers(TABLE * [1e3, 1, 1, 1]), {"time_unit": "ms"}),
+    ("milliseconds_velocities.csv", "note", numbers(FULL * [1e3, 1, 1, 1, 1, 1, 1])),
+    ("nanoseconds_1970.csv", "too-short", numbers(TABLE * [1e9, 1, 1, 1] + [1.7e18, 0, 0, 0])),
+    ("milliseconds_1970.csv", "too-short", numbers(TABLE * [1e3, 1, 1, 1] + [1.7e12, 0, 0, 0])),
+    ("degrees_stated.csv", "note", numbers(TABLE * [1, 57.3, 57.3, 57.3]), {"degrees": True}),
+    ("radians_as_degrees.csv", "outside-limits", numbers(TABLE * [1, 57.3, 57.3, 57.3]), {"units": "radians"}),
+    ("small_degrees.csv", "degrees", numbers(FULL * [1, 5.73, 5.73, 5.73, 0.1, 0.1, 0.1])),
+    ("full_turn.csv", "jump", numbers(TABLE + LATE * [0, 6.2832, 0, 0])),
+    # files that are no recordings at all
+    ("pickle.pkl", "pickle", raw(pickle.dumps({"q": Q}))),
+    ("bare_array.npy", "no-joint-names", raw(npy(Q))),
+    ("compressed.csv.gz", "compressed", raw(gzip.compress(GOOD.encode()))),
+    ("zipped.zip", "compressed", archive_of([("demo.csv", GOOD.encode())])),
+    ("workbook.xlsx", "excel", archive_of([("xl/workbook.xml", b"<workbook/>")])),
+    ("matlab.mat", "damaged", raw(b"MATLAB 5.0 MAT-file, Platform: GLNXA64" + bytes(100))),
+    ("random.bin", "unknown-format", raw(np.random.default_rng(0).bytes(3000))),
+    # NumPy archives
+    ("good.npz", "accept", npz(**ARRAYS)),
+    ("names_given.npz", "accept", npz(time=TIME, q=Q), {"joint_names": JOINTS}),
+    ("more_arrays.npz", "note", but(camera=np.zeros((4, 4)))),
+    ("objects.npz", "pickle", but(q=Q.astype(object))),
+    ("complex.npz", "not-a-number", but(q=Q.astype(complex))),
+    ("booleans.npz", "not-a-number", but(q=Q > 0)),
+    ("text_array.npz", "not-a-number", but(q=Q.astype(str))),
+    ("transposed.npz", "note", but(q=Q.T)),
+    ("flat.npz", "shape", but(q=Q[:, 0])),
+    ("two_positions.npz", "missing-array", npz(time=TIME, measured_q=Q, other_q=Q, joint_names=NAMES)),
+    ("longer_u.npz", "shape", but(u=U[:-1])),
+    ("empty_arrays.npz", "too-short", npz(time=TIME[:0], q=Q[:0], joint_names=NAMES)),
+    (
+        "bomb.npz",
+        "bomb",
+        members(method=zipfile.ZIP_DEFLATED, time=npy(np.zeros(4_000_000)), q=npy(np.zeros((4_000_000, 3)))),
+    ),
+    ("header_asks_for_more.npz", "damaged", members(time=npy(TIME), q=LARGER)),
+    ("header_is_code.npz", "damaged", members(time=npy(TIME), q=npy(Q).replace(b": (60, 3)", b": exit(9)"))),
+    ("same_array_twice.npz", "duplicate-column", archive_of([("time.npy", npy(TIME)), *[("q.npy", npy(Q))] * 2])),
+    ("cut_off.npz", "damaged", spoilt(npz(**ARRAYS), lambda b: b[: len(b) // 2])),
+    ("flipped_bits.npz", "damaged", spoilt(npz(time=TIME, q=Q, joint_names=NAMES), flipped)),
+    # beginnings of heavy formats with nothing sensible behind
+    ("stub.bag", "damaged", raw(b"#ROSBAG V2.0\n" + bytes(200))),
+    ("old.bag", "old-bag", raw(b"#ROSBAG V1.2\n" + bytes(200))),
+    ("random.bag", "damaged", noise(1, b"#ROSBAG V2.0\n")),
+    ("random.mcap", "damaged", noise(2, b"\x89MCAP0\r\n")),
+    ("random.db3", "damaged", noise(3, b"SQLite format 3\x00")),
+    ("random.parquet", "damaged", noise(4, b"PAR1", b"PAR1")),
+    ("random.hdf5", "damaged", noise(5, b"\x89HDF\r\n\x1a\n")),
+    ("stub.csv.zst", "compressed", raw(b"\x28\xb5\x2f\xfd" + bytes(50))),
+    ("lerobot_v1", "version", folder({"meta/info.json": OLD, "data/episode_000000.parquet": b"PAR1"})),
+    ("lerobot_no_data", "empty", folder({"meta/info.json": "{}"})),
+    ("ros2_no_storage", "damaged", folder({"metadata.yaml": "a: [1"})),
+    ("empty_folder", "no-recordings", folder({})),
+    ("folder_of_notes", "no-recordings", folder({"README.md": "hello there", "x.json": "{}"})),
+    ("one_bad_in_folder", "ragged", folder({"a.csv": GOOD, "b.csv": GOOD[:-14] + "\n"})),
+    (
+        "folder_with_readme",
+        "note",
+        folder({"a.csv": GOOD, "README.md": "hello there", "b.yaml": "position: [1]\n"}),
+    ),
+    ("not_there.csv", "missing-file", lambda path: None),
+    # files of each format that claim to hold more than any recording: refused before it is read
+    ("wide.csv", "too-large", text(csv(np.ones((1, 10_004)), HEADER + "".join(f",c{i}" for i in range(10_000))))),
+    ("wide.npz", "too-large", npz(True, time=TIME[:2], q=WIDE, joint_names=NAMES)),
+    ("deep_lerobot", "damaged", lerobot(DEEP)),
+    ("large_lerobot", "too-large", lerobot(" " * 10_000_001)),
+    ("deep_bag", "damaged", folder({"metadata.yaml": DEEP})),
+    ("large_bag", "too-large", folder({"metadata.yaml": " " * 10_000_001})),
+    ("wide.hdf5", "too-large", partial(hdf5, shape=WIDE.shape), RATE),
+    ("bomb.hdf5", "bomb", partial(hdf5, shape=(4_000_000, 3)), RATE),
+    ("huge.hdf5", "too-large", partial(hdf5, shape=(10**9, 3)), RATE),
+    ("bomb.parquet", "bomb", parquet_bomb, RADIANS),
+    ("bomb_episode.parquet", "bomb", parquet_bomb, {**RADIANS, "episodes": 0}),
+]
+CASES = [Case(*row) for row in ROWS]

@@ -100,7 +100,7 @@ def lerobot(*tables: pa.Table, names: Any = JOINTS, described: Any = None) -> Bu
 
 def version_2(root: Path, scale: float = 1.0, kind: str = "fixed") -> Path:
     files = {f"data/chunk-000/episode_{i:06d}.parquet": frames({i: scale * motion(i)}, kind) for i in (0, 1, 2, 10)}
-    return dataset(root, info(JOINTS), files)
+    return dataset(root, info(JOINTS, total_episodes=4, total_frames=320), files)
 
 
 def version_3(root: Path) -> Path:

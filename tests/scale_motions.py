@@ -5,9 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from manip_learn.constraint.features import FrameJacobian
+from manip_learn.linalg import orthonormal_rows
 from manip_learn.recordings.trajectory import Demonstrations, Trajectory
 
 DT = 0.02
+TWO = orthonormal_rows(np.array([[1.0, 0.2, 0.3], [-0.3, 0.9, 0.2]]))  # oblique, of three features
 
 
 def motions(

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from scale_motions import motions
+from scale_motions import TWO, motions
 from task_sets import DATA
 
 import manip_learn as ml
@@ -17,17 +17,10 @@ from manip_learn.cli import main
 from manip_learn.errors import RecordingError
 from manip_learn.learning import audit
 from manip_learn.learning.audit import EpisodeAudit
-from manip_learn.linalg import orthonormal_rows
 from manip_learn.recordings import load as trajectory_source
 
-TWO = orthonormal_rows(np.array([[1.0, 0.2, 0.3], [-0.3, 0.9, 0.2]]))
 OTHER = TWO[:, [2, 0, 1]]
 DRAWER, TIP = DATA / "sawyer_drawer", "right_gripper_tip"
-
-
-@pytest.fixture(scope="module")
-def features() -> ml.FrameJacobian:
-    return ml.FrameJacobian(ml.load_robot("sawyer"), TIP, "xyz")
 
 
 @pytest.fixture(scope="module")

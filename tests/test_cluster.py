@@ -11,27 +11,20 @@ import threading
 
 import numpy as np
 import pytest
-from scale_motions import motions
+from scale_motions import TWO, motions
 
 import manip_learn as ml
 from manip_learn.cli import main
 from manip_learn.errors import ManipLearnError, MissingExtraError, RecordingError
 from manip_learn.learning.table import dask_client, map_parts
-from manip_learn.linalg import orthonormal_rows
 from manip_learn.recordings import load as trajectory_source
 
 pytest.importorskip("distributed", reason="the extra 'dask' is not installed")
 import dask
 
-TWO = orthonormal_rows(np.array([[1.0, 0.2, 0.3], [-0.3, 0.9, 0.2]]))
 HELD = {"n_constraints": 2, "estimator": "null-space", "most_samples": 3000}
 # the cluster's own clean-up of sockets and processes is not ours to judge
 pytestmark = [pytest.mark.filterwarnings("ignore::ResourceWarning"), pytest.mark.timeout(300)]
-
-
-@pytest.fixture(scope="module")
-def features() -> ml.FrameJacobian:
-    return ml.FrameJacobian(ml.load_robot("sawyer"), "right_gripper_tip", "xyz")
 
 
 @pytest.fixture(scope="module")

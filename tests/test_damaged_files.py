@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import json
+import bz2
 import os
 import re
 import socket
@@ -18,7 +18,10 @@ import numpy as np
 import pytest
 from case import case
 from recording_corpus import CASES, FULL, JOINTS, TIME, Q, U, npz, numbers, refusal
-from recording_formats import KINDS, all_in_one, bag, file_of, h5py, one, pa, pq, robomimic, version_3
+from recording_formats import KINDS, Build, all_in_one, bag, file_of, h5py, one, pa, pq, robomimic, version_2
+from rosbags.rosbag1 import Writer as Writer1
+from rosbags.rosbag2 import CompressionMode
+from rosbags.rosbag2.reader import zstd
 
 import manip_learn as ml
 from manip_learn.cli import main
@@ -183,8 +186,47 @@ def mcap(folder: Path) -> Path:
     return file_of(bag("mcap", all_in_one())(folder))
 
 
+def logged(end: str, whole: bool) -> Build:
+    """A bag, or the database in it, beside which lies an empty log."""
+
+    def write(folder: Path) -> Path:
+        path = bag("sqlite", all_in_one())(folder)
+        (database := file_of(path)).with_name(database.name + end).touch()
+        return path if whole else database
+
+    return write
+
+
 def bytes_of(change: Callable[[bytes], bytes]) -> Callable[[Path], Any]:
     return lambda path: path.write_bytes(change(path.read_bytes()))
+
+
+def bomb_in_a_block(path: Path) -> None:
+    """A block of 100 bytes that unpacks to 64 MB."""
+    content = path.read_bytes()
+    start = content.index(b"BZh")
+    (size,) = struct.unpack_from("<I", content, start - 4)
+    bomb = bz2.compress(bytes(64_000_000))
+    path.write_bytes(content[:start] + bomb + bytes(size - len(bomb)) + content[start + size :])
+
+
+def claimed_terabyte(path: Path) -> None:
+    """In the index, which is believed."""
+    content = bytearray(path.read_bytes())
+    struct.pack_into("<Q", content, content.rindex(b"zstd") + 12, 10**12)
+    path.write_bytes(content)
+
+
+BOMB = zstd.compress(bytes(60_000_000))
+
+
+def bomb_in_a_message(path: Path) -> None:
+    with sqlite3.connect(path) as database:
+        database.execute("UPDATE messages SET data = ? WHERE id = 20", (BOMB,))
+
+
+def in_bag(spoil: Callable[[Path], Any]) -> Callable[[Path], Any]:
+    return lambda path: spoil(next(path.glob("*.*[34pd]")) if path.is_dir() else path)
 
 
 SPARE = "CREATE TABLE spare (x)", "PRAGMA writable_schema = ON; DELETE FROM sqlite_master WHERE name = 'spare'"
@@ -201,6 +243,15 @@ LOST: dict[str, tuple[Any, Callable[[Path], Any], str, str, dict[str, Any]]] = {
         f"the attribute {name}": (HDF5, attribute(where, name), "lost-samples", f"{name!r}.*999", GIVEN)
         for where, name in (("data", "total"), ("data/demo_1", "num_samples"), ("data", "num_demos"))
     },
+    **{
+        f"a bomb in {what}": (bag(kind, all_in_one(), **options), in_bag(spoil), "bomb", "unpack", {})
+        for what, kind, options, spoil in (
+            ("a block", "ros1", {"compression": Writer1.CompressionFormat.BZ2}, bomb_in_a_block),
+            ("the index", "mcap", {"mode": CompressionMode.STORAGE}, claimed_terabyte),
+            ("the database", "sqlite", {"mode": CompressionMode.FILE}, lambda path: path.write_bytes(BOMB)),
+            ("a message", "sqlite", {"mode": CompressionMode.MESSAGE}, bomb_in_a_message),
+        )
+    },
     "a message of no topic": (
         lambda folder: file_of(bag("sqlite", all_in_one())(folder)),
         queried("UPDATE messages SET topic_id = 9 WHERE id = 20"), "lost-messages", SHORT.format(59), {},
@@ -212,32 +263,32 @@ LOST: dict[str, tuple[Any, Callable[[Path], Any], str, str, dict[str, Any]]] = {
     "statistics": (
         mcap, bytes_of(lambda b: b.replace(COUNTED, struct.pack("<HQ", 1, 59))), "lost-messages", SHORT.format(59), {}
     ),
+    "a file of a LeRobot data set": (
+        lambda folder: version_2(folder / "set"), lambda path: next(path.rglob("*10.parquet")).unlink(),
+        "lost-samples", "meta/info.json states total_.*episodes='0:'", {"units": "radians"},
+    ),
+    **{
+        f"a log {end} of a recorder that was killed": (
+            logged(end, whole), lambda path: next(file_of(path).parent.glob("*-*")).write_bytes(b"x" * 32),
+            "unfinished", r"PRAGMA wal_checkpoint\(TRUNCATE\)", {},
+        )
+        for end, whole in (("-wal", True), ("-journal", False))
+    },
 }  # fmt: skip
 
 
 @pytest.mark.parametrize("what", LOST)
 def test_what_a_file_states_is_believed(what: str, planar3: Robot, tmp_path: Path) -> None:
     """Fewer messages, samples or demonstrations than are stated, or a file that is not sound: refused with both
-    numbers and the way out; the same recording is read before.
+    numbers and the way out, in memory and in a stream; the same recording is read before.
     """
     build, edit, code, words, options = LOST[what]
     path = build(tmp_path)
-    assert ml.load_demonstrations(path, planar3, **options).n_samples in (60, 180)
+    assert ml.load_demonstrations(path, planar3, **options).n_samples in (60, 180, 320)
     edit(path)
     assert refusal(path, planar3, match=words, **options).code == code
-
-
-@pytest.mark.parametrize("end", ["-wal", "-journal"])
-def test_a_killed_recorder_is_noticed(end: str, planar3: Robot, tmp_path: Path) -> None:
-    """A log beside the database holds messages that are not in it: refused with the command; empty, it is fine."""
-    path = bag("sqlite", all_in_one())(tmp_path)
-    side = file_of(path).with_name(file_of(path).name + end)
-    for given_path in (path, file_of(path)):
-        side.write_bytes(b"")
-        assert ml.load_demonstrations(given_path, planar3).n_samples == 60
-        side.write_bytes(b"x" * 32)
-        error = refusal(given_path, planar3)
-        assert error.code == "unfinished" and "PRAGMA wal_checkpoint(TRUNCATE)" in str(error)
+    with pytest.raises(RecordingError, match=words):
+        list(ml.RecordingSource(path, planar3, **options))
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -249,45 +300,18 @@ def test_a_bag_of_many_chunks_and_topics_is_whole(kind: str, planar3: Robot, tmp
     assert ml.load_demonstrations(bag(kind, long, between)(tmp_path), planar3).n_samples == 60
 
 
-def test_the_totals_of_a_lerobot_data_set_are_believed(planar3: Robot, tmp_path: Path) -> None:
-    """A data set with a file missing is refused with both numbers, in memory and in a stream; what is there can be
-    selected, and a single file is read for itself.
-    """
-    root, radians = version_3(tmp_path / "set"), {"units": "radians"}
-    info = root / "meta" / "info.json"
-    info.write_text(json.dumps(json.loads(info.read_text()) | {"total_frames": 240, "total_episodes": 4}))
-    assert ml.load_demonstrations(root, planar3, **radians).n_samples == 240
-    (root / "data/chunk-000/file-001.parquet").unlink()
-    for use in (ml.load_demonstrations, lambda *given, **options: list(ml.RecordingSource(*given, **options))):
-        with pytest.raises(RecordingError, match="meta/info.json states total_.*episodes='0:'") as caught:
-            use(root, planar3, **radians)
-        assert caught.value.code == "lost-samples"
-    assert len(ml.load_demonstrations(root, planar3, **radians, episodes=[0, 1])) == 2
-    assert ml.load_demonstrations(root / "data/chunk-000/file-000.parquet", planar3, **radians).n_samples == 160
-
-
-@pytest.mark.parametrize("ending", ["npz", "csv"])
-def test_a_saved_rollout_that_lost_a_sample_is_refused(ending: str, rollout: ml.Rollout, tmp_path: Path) -> None:
-    """In every format: it states how many there were."""
-    path = rollout.save(tmp_path / f"run.{ending}")
-    if ending == "npz":
-        with np.load(path) as archive:
-            np.savez(path, **{k: a[:-1] if a.shape[:1] == (T,) else a for k, a in archive.items()})
-    else:
-        path.write_text("".join(path.read_text(encoding="utf-8").splitlines(keepends=True)[:-1]))
-    with pytest.raises(RecordingError, match=f"written with {T} samples and holds {T - 1}") as caught:
-        ml.Rollout.load(path)
-    assert caught.value.code == "damaged" and len(ml.Rollout.load(rollout.save(path)).time) == T
-
-
 # ---- what is no rollout
-def saved_with(**changes: Any) -> Callable[[Path, ml.Rollout], Any]:
+def saved_with(n: int = T, **changes: Any) -> Callable[[Path, ml.Rollout], Any]:
     def write(path: Path, rollout: ml.Rollout) -> None:
         with np.load(rollout.save(path)) as archive:
-            arrays = dict(archive)
-        np.savez(path, **{**arrays, **changes})
+            arrays = {**archive, **changes}
+        np.savez(path, **{name: a[:n] if a.shape[:1] == (T,) else a for name, a in arrays.items()})
 
     return write
+
+
+def tabled(change: Callable[[str], str]) -> Callable[[Path, ml.Rollout], Any]:
+    return lambda path, r: path.write_text(change(r.save(path.with_suffix(".csv")).read_text(encoding="utf-8")))
 
 
 NO_ROLLOUT: dict[str, tuple[Callable[[Path, ml.Rollout], Any], str]] = {
@@ -300,10 +324,9 @@ NO_ROLLOUT: dict[str, tuple[Callable[[Path, ml.Rollout], Any], str]] = {
     "another width": (saved_with(q=np.zeros((T, 2))), r"q has shape \(12, 2\), \(12, 3\)"),
     "an unknown status": (saved_with(status=np.array(["fine"] * T)), "sample 0: the status is 'fine'"),
     "other joints": (saved_with(joint_names=np.array(["a", "b", "c"])), "joint_names"),
-    "a status in a table": (
-        lambda path, r: path.write_text(r.save(path.with_suffix(".csv")).read_text().replace("damped", "fine")),
-        "'fine'",
-    ),
+    "a status in a table": (tabled(lambda text: text.replace("damped", "fine")), "'fine'"),
+    "a sample less": (saved_with(T - 1), "written with 12 samples and holds 11"),
+    "a row less": (tabled(lambda text: text.rpartition("0.22,")[0]), "written with 12 samples and holds 11"),
 }  # fmt: skip
 
 

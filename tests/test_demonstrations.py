@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 import pickle
 from collections.abc import Callable
 from typing import Any
@@ -10,7 +11,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
-from case import case
+from case import case, rows_in
 from task_sets import sawyer_drawer
 
 import manip_learn as ml
@@ -44,24 +45,11 @@ def test_frozen_through_and_through():
         t.q = q  # type: ignore[misc]
 
 
-@pytest.mark.parametrize(
-    ("changes", "code", "words"),
-    [
-        ({"time": [], "q": np.zeros((0, 2)), "u": None, "effort": None}, "empty", "no samples"),
-        ({"time": [0, 1, 2]}, "shape", "got"),
-        ({"effort": np.zeros((5, 1))}, "shape", "effort must have shape"),
-        ({"effort": np.where(np.eye(5, 2), np.nan, 0.0)}, "not-finite", "effort of sample 0, joint 'a' is nan"),
-        ({"q": [[1.0, 2.0], [3.0]]}, "not-a-number", "must be numbers"),
-        ({"time": [0, 1, 1, 2, 3]}, "time-order", "sample 2 is at 1"),
-        ({"time": [0, 1, np.nan, 2, 3]}, "not-finite", "sample 2"),
-        ({"q": [[0, 0], [0, np.nan], [0, 0], [0, 0], [0, 0]]}, "not-finite", "sample 1, joint 'b' is nan"),
-        ({"joint_names": ("a", "a")}, "duplicate-joint", "must differ"),
-    ],
-)
-def test_what_cannot_be_used_is_refused_by_name(changes: dict[str, Any], code: str, words: str):
+@pytest.mark.parametrize(("code", "words", "entries"), rows_in("wrong_trajectories.txt"))
+def test_what_cannot_be_used_is_refused_by_name(code: str, words: str, entries: str):
     """The trajectory, the sample, the joint and the value."""
     with pytest.raises(RecordingError) as caught:
-        trajectory(**changes)
+        trajectory(**json.loads(entries))
     assert words in str(caught.value) and str(caught.value).startswith("demo: ") and caught.value.code == code
 
 
@@ -75,8 +63,9 @@ def test_parts():
     np.testing.assert_array_equal(t.with_joint_names(("c", "d")).effort, t.effort)
     assert not Demonstrations([trajectory(), bare]).has_velocities
     assert t.part(slice(0, 2), "start").name == "start" and t.duration == pytest.approx(0.5)
-    with pytest.raises(RecordingError, match="no samples"):
+    with pytest.raises(RecordingError, match="demo: .*no samples") as caught:
         t.part(slice(3, 3))
+    assert caught.value.code == "empty"
     long = trajectory(T=100, time=np.arange(100) * 0.1 + 5.0)
     np.testing.assert_array_equal(long[6.0:7.0].effort, long.effort[10:21])
     assert len(long[:6.0]) == 11 and len(long[14.0:]) == 10
@@ -105,6 +94,7 @@ def test_demonstrations_are_a_sequence():
     one, two = trajectory(3, "one"), trajectory(4, "two")
     demos = Demonstrations(iter([one, two]), ["trimmed"])
     assert list(demos) == [one, two] and demos.joint_names == NAMES and demos.n_samples == 7
+    assert all(words in repr(demos) for words in ("7 samples", "'one': 3 samples over 0.2 s, 2 joints"))
     assert isinstance(demos[1:], Demonstrations) and demos[1:].trajectories == (two,)
     assert demos[1:].notes == ("trimmed",)
     other = trajectory(name="other", joint_names=("b", "a"))
@@ -114,11 +104,6 @@ def test_demonstrations_are_a_sequence():
 
 
 # ---- motions in memory
-@pytest.fixture(scope="module")
-def features() -> ml.FrameJacobian:
-    return ml.FrameJacobian(sawyer_drawer()[0], "right_gripper_tip")
-
-
 @pytest.fixture(scope="module")
 def demos() -> Demonstrations:
     return sawyer_drawer()[1]
@@ -142,6 +127,10 @@ def test_arrays_are_read_like_files(demos: Demonstrations, features: ml.FrameJac
     ("spoil", "code", "words"),
     [
         (lambda t: t.q, "type", "has no times"),
+        (lambda t: (["early"] * len(t), t.q), "not-a-number", "could not convert"),
+        (lambda t: [(t.time[None], t.q)], "shape", "time"),
+        (lambda t: [pd.DataFrame()], "empty", "it is empty"),
+        (lambda t: [Demonstrations([t]).to_frame().assign(time="early")], "not-a-number", "numbers are needed"),
         (lambda t: (t.time, t.q[:, :6]), "shape", "q has 6 columns, robot 'sawyer' has 7 joints"),
         (lambda t: (t.time, np.degrees(t.q)), "degrees", "look like degrees"),
         (lambda t: (t.time[::-1], t.q), "time-order", "time goes back in 338 of 338 steps"),

@@ -10,9 +10,9 @@ from pathlib import Path
 import hypothesis
 import numpy as np
 import pytest
-from case import case
+from case import DATA, case, rows_in
 from hypothesis import strategies as st
-from urdf_corpus import ARM, CASES, chain, dae, mimic_chain
+from urdf_corpus import ARM, CASES, DAE, chain, mimic_chain
 
 import manip_learn as ml
 from manip_learn.errors import NotIdentifiableError, RobotError, UnknownNameError
@@ -43,58 +43,22 @@ def test_the_unit_of_a_collada_file_is_applied(tmp_path):
     sizes = {}
     for unit in ("1", "0.001", "0.0254"):
         path = tmp_path / f"{unit}.dae"
-        path.write_bytes(dae().replace(b'meter="1"', f'meter="{unit}"'.encode()))
+        path.write_bytes(DAE.replace(b'meter="1"', f'meter="{unit}"'.encode()))
         made = read_meshes([path])[path]
         assert isinstance(made, Mesh), made
         sizes[unit] = float(np.ptp(made.vertices, axis=0).max())
     np.testing.assert_allclose([sizes["0.001"], sizes["0.0254"]], np.array([0.001, 0.0254]) * sizes["1"], rtol=1e-6)
 
 
-def safety(inside: str) -> str:
-    """A safety controller of the joint j."""
-    return f"<safety_controller {inside}/>"
-
-
-def control(position=("", ""), velocity=("", ""), direct="", joint="j") -> str:
-    """What ros2_control is told of a joint; texts that are empty are left out."""
-    inside = direct
-    for quantity, ends in (("position", position), ("velocity", velocity)):
-        numbers = [(name, text) for name, text in zip(("min", "max"), ends, strict=True) if text]
-        params = "".join(f'<param name="{name}">{text}</param>' for name, text in numbers)
-        inside += f'<command_interface name="{quantity}">{params}</command_interface>'
-    return f'<ros2_control name="c" type="system"><joint name="{joint}">{inside}</joint></ros2_control>'
-
-
-NAMED = '<param name="min_position">-1</param><param name="max_position_value">1</param>'
-
-
-@pytest.mark.parametrize(
-    ("written", "limits", "told"),
-    [
-        (safety('soft_lower_limit="-1" soft_upper_limit="1.5" k_velocity="1"'), (-1.0, 1.5, 2.0), [None]),
-        (safety('soft_lower_limit="-1" soft_upper_limit="3" k_velocity="1"'), (-1.0, 2.0, 2.0), [None]),
-        (safety('soft_lower_limit="0" soft_upper_limit="0" k_velocity="1"'), (-2.0, 2.0, 2.0), []),
-        (control(("-1", " 1.5\n")), (-1.0, 1.5, 2.0), ["limits"]),
-        (control(velocity=("-0.5", "0.4")), (-2.0, 2.0, 0.4), ["velocities"]),
-        (control(direct=NAMED), (-1.0, 1.0, 2.0), ["limits"]),
-        (control(("-3", "3"), ("-9", "9")), (-2.0, 2.0, 2.0), []),
-        (control(("${lower}", "1")), (-2.0, 2.0, 2.0), []),
-        (control(("1", "-1"), ("0.5", "0.2")), (-2.0, 2.0, 2.0), []),
-        (control(("nan", "inf"), ("0", "0")), (-2.0, 2.0, 2.0), []),
-        (control(("-1", "1"), joint="k"), (-2.0, 2.0, 2.0), []),
-    ],
-)
-def test_narrower_limits_of_safety_controllers_and_ros2_control_are_used(written, limits, told, tmp_path):
+@pytest.mark.parametrize(("limits", "said", "in_joint", "in_control"), rows_in("narrower_limits.txt"))
+def test_narrower_limits_of_safety_controllers_and_ros2_control_are_used(limits, said, in_joint, in_control, tmp_path):
     """Of positions and velocities, where they are narrower and make sense, with a note that names both ranges."""
-    is_safety = written.startswith("<safety")
-    path = described(tmp_path / "a.urdf", ["b", "l"], joint("j", "b", "l", written if is_safety else ""))
-    path.write_text(path.read_text().replace("</robot>", f"{'' if is_safety else written}</robot>"))
-    robot = load_robot(path)
-    assert (robot.position_lower[0], robot.position_upper[0], robot.velocity_limit[0]) == limits
-    notes = [w for w in robot.warnings if ("safety_controller" if is_safety else "ros2_control") + " allows" in w]
-    assert is_safety or [w.split("of the ")[1].split()[0] for w in notes] == told
-    assert len(notes) == len(told)
-    assert is_safety or all("joint 'j'" in w and w.endswith(" -2 ... 2: the narrower range is used") for w in notes)
+    beside = f'<ros2_control name="c" type="system">{in_control}</ros2_control>' * bool(in_control)
+    robot = load_robot(described(tmp_path / "a.urdf", ["b", "l"], joint("j", "b", "l", in_joint), beside))
+    used = (robot.position_lower[0], robot.position_upper[0], robot.velocity_limit[0])
+    assert used == tuple(map(float, limits.split()))
+    notes = (f"line 1: joint 'j': its {said} -2 ... 2: the narrower range is used",)
+    assert robot.warnings == notes[: bool(said)]
 
 
 # by hand from the makers' Denavit-Hartenberg parameters, all joints at zero
@@ -125,32 +89,15 @@ def test_a_hand_that_did_not_move_is_refused():
         ml.ConstraintLearner(ml.FrameJacobian(robot, frame="left_gripper", axes="xyz")).fit(motions)
 
 
-TIPS = {  # links, and joints as (parent, child, name, kind); links without a number move no further
-    "an arm joint called after the gripper": (("gripper_link",), [("b", "a", "j1"), ("a", "wrist_link", "j2"),
-        ("wrist_link", "gripper_link", "gripper_roll_joint"), ("gripper_link", "left", "finger_joint", "prismatic")]),
-    "fingers called after the hand": (("hand_palm_link",), [("b", "a", "j1"), ("a", "w", "j2"),
-        ("w", "hand_palm_link", "p", "fixed"), ("hand_palm_link", "hand_l_distal_link", "hand_l_joint"),
-        ("hand_palm_link", "hand_r_distal_link", "hand_r_joint")]),
-    "two turns that are no fingers": (("x", "y"), [("b", "x", "j1"), ("b", "y", "j2")]),
-    "a jaw known by where it hangs": (("gripper-static_1",), [("b", "a", "Revolute 2"),
-        ("a", "gripper-static_1", "Revolute 6"), ("gripper-static_1", "gripper-moving_1", "Revolute 7")]),
-    "a wrist in mid-chain": (("end",), [("b", "s", "j1"), ("s", "elbow_to_wrist", "wrist_pitch"),
-        ("elbow_to_wrist", "end", "wrist_roll")]),
-    "a copy of the last link": (("link8",), [("b", "l7", "j"), ("l7", "l7_sc", "c", "copy"),
-        ("l7", "link8", "f", "fixed")]),
-}  # fmt: skip
-
-
-@pytest.mark.parametrize("name", TIPS)
-def test_the_tip_is_what_the_whole_arm_moves(name, tmp_path):
+@pytest.mark.parametrize(("tips", "joints"), [pytest.param(*row, id=name) for name, *row in rows_in("tips.txt")])
+def test_the_tip_is_what_the_whole_arm_moves(tips, joints, tmp_path):
     """Fingers are known by their place in the tree, and names decide only among the ends of chains."""
-    tips, edges = TIPS[name]
-    joints = []
-    for parent, child, called, *kind in edges:
-        kind = (*kind, "revolute")[0]
-        copy = kind == "copy"
-        joints.append(joint(called, parent, child, kind="fixed" if copy else kind, x=0.0 if copy else 0.1))
-    assert ml.likely_tips(load_robot(described(tmp_path / "a.urdf", ["b", *(e[1] for e in edges)], *joints))) == tips
+    made, links = [], ["b"]
+    for parent, child, called, *kind in (written.split(", ") for written in joints.split("; ")):
+        how = {"kind": "fixed", "x": 0.0} if kind == ["copy"] else {"kind": (*kind, "revolute")[0], "x": 0.1}
+        made.append(joint(called, parent, child, **how))
+        links.append(child)
+    assert ml.likely_tips(load_robot(described(tmp_path / "a.urdf", links, *made))) == tuple(tips.split())
 
 
 # ---- hostile, unusual and mutated descriptions ----
@@ -200,16 +147,6 @@ def test_every_case_gets_its_verdict_and_its_sentence(rng):
     assert sentences(rng) == GOLDEN.read_text(encoding="utf-8").splitlines()
 
 
-MJCF = """<mujoco model="m"><compiler angle="degree" eulerseq="xyz"/>
-  <default><joint axis="0 1 0"/><default class="c"><joint type="slide" range="0 0.2"/></default></default>
-  <asset><mesh name="mesh" file="a.stl" scale="1 1 1"/></asset>
-  <worldbody><geom type="plane" size="1 1 1"/>
-    <body name="a" pos="0 0 0.3" euler="10 20 30"><joint name="j" range="-90 90" pos="0.1 0 0" ref="5"/>
-      <inertial pos="0 0 0" mass="1" diaginertia="0.1 0.1 0.1"/><geom type="capsule" size="0.1 0.2" rgba="1 0 0 1"/>
-      <body name="b" axisangle="0 0 1 45" childclass="c"><joint name="k"/><joint name="l" class="main" limited="false"/>
-        <geom mesh="mesh" type="mesh" quat="1 0 0 0"/><site name="tip" pos="0.1 0 0"/></body></body>
-    <body name="d" xyaxes="1 0 0 0 1 0"><freejoint name="f"/></body></worldbody>
-  <equality><joint joint1="l" joint2="j" polycoef="0.1 2 0 0 0"/></equality></mujoco>"""
 VALUES = (
     "nan inf -inf 0 -0 1 -1 1e308 1e-308 4e-324 1e999 4294967296 9223372036854775808 0x10 1e 1.2.3 1,5 universe world "
     "root_joint revolute continuous prismatic planar floating fixed spherical mimic package://a/b.stl x"
@@ -220,6 +157,7 @@ PIECES = (  # values, numbers, elements, names
     r"<[^<>/!?]*/>|<(?P<tag>joint|link|visual|inertial|body)\b.*?</(?P=tag)>",
     r"(?<=[</ ])[a-z]+(?=[ =>/])",
 )
+MJCF = (DATA / "arm.xml").read_text(encoding="utf-8")
 PARENTS = [ARM, ARM.replace('"revolute"', '"planar"', 1), MJCF, chain(4, "continuous").decode()]
 PARENTS += [chain(3, "floating").decode(), mimic_chain((2, 0, 1)).decode()]
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import sys
 
 import numpy as np
 import pytest
@@ -12,7 +11,7 @@ from scipy.spatial.transform import Rotation
 import manip_learn as ml
 from manip_learn.cli import main
 from manip_learn.control.interop.force_control import TOLERANCE, force_mode, impedance, moveit_constraints, urscript
-from manip_learn.errors import ConfigurationError, ConstraintError, MissingExtraError, UnknownNameError
+from manip_learn.errors import ConfigurationError, ConstraintError, UnknownNameError
 
 # ---- controllers of force and stiffness ----
 
@@ -157,15 +156,6 @@ def oblique(robot, rng, tip="right_hand"):
     q = 0.8 * robot.positions(robot.random_configuration(rng))
     task = ml.PointAttractor(robot.position(q, tip) + 0.1 * rng.normal(size=3))
     return constraint, task, ml.ManipulabilityAscent(constraint, 0.5), q
-
-
-def test_missing_pink(monkeypatch):
-    """Without Pink the error names the extra."""
-    monkeypatch.setitem(sys.modules, "pink", None)
-    monkeypatch.setitem(sys.modules, "pink.tasks", None)
-    monkeypatch.delitem(sys.modules, "manip_learn.control.interop.pink_tasks", raising=False)
-    with pytest.raises(MissingExtraError, match=r"manip_learn\[pink\]"):
-        import manip_learn.control.interop.pink_tasks  # noqa: F401
 
 
 @pytest.fixture

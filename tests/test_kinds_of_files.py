@@ -133,7 +133,7 @@ KINDS: dict[str, Kind] = {
     "ros2 topic echo --flow-style": kind(echo()),
     "topic echo without names": kind(echo(named=False), "joint_names=", GIVEN),
     "ros2 topic echo --csv": kind(table([], SEC.astype(int), NS.astype(int), ["base"] * 150, *NAMED, Q)),
-    "... without names": kind(table([], SEC.astype(int), NS.astype(int), ["base"] * 150, Q), **GIVEN),
+    "... without names": kind(table([], SEC.astype(int), NS.astype(int), ["base"] * 150, Q), "joint_names=", GIVEN),
     "rostopic echo -p": kind(table(ECHO_P, np.round(STAMPS * 1e9), np.arange(150), *NAMED, Q)),
     "changing joints": kind(table(CHANGING, T, *np.array([N, N[::-1]] * 75).T.tolist(), Q), "change from row"),
     "PlotJuggler": kind(table(["__time", "/js/header/stamp", *(f"/js/{n}/position" for n in N)], STAMPS, STAMPS, Q)),

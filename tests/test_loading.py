@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from case import case
+from case import case, rows_in
 from rounding import rounding
 from urdf_corpus import ARM, edited
 
@@ -221,20 +221,8 @@ def test_package_dirs_must_exist(arm, tmp_path):
         assert load_robot(arm, package_dirs=given).package_dirs == (tmp_path,)
 
 
-# an expression in a xacro file -> what the sentence says
-WRONG_XACRO = {
-    "$(arg side) 0 0": "has the arguments side: give one with xacro={NAME: VALUE}",
-    "0 0 ${unknown}": "unknown",
-    "$(find nowhere)": "nowhere.*package_dirs",
-    "<": "expanded",
-    "0 0 ${len([0]*10**9)}": r"\(there is not enough memory when evaluating",
-    "0 0 ${' '*15000000}": "15000... characters, at most 10000000",
-    "0 0 ${9**9**9}": "it took more than 1 s; its expressions may take 1 s and 1 GB",
-}
-
-
-@pytest.mark.parametrize("expression", WRONG_XACRO)
-def test_xacro_only_when_asked(expression, tmp_path, monkeypatch):
+@pytest.mark.parametrize(("expression", "words"), rows_in("wrong_xacro.txt"))
+def test_xacro_only_when_asked(expression, words, tmp_path, monkeypatch):
     """A xacro file is expanded; what it does wrong is a sentence, also an expression that never ends, or wants
     gigabytes, in the time and memory of its process.
     """
@@ -245,7 +233,7 @@ def test_xacro_only_when_asked(expression, tmp_path, monkeypatch):
     assert load_robot(path, xacro=True).pose([0, 0], "upper")[2, 3] == pytest.approx(0.5)
     monkeypatch.setattr(xacro_expansion, "EXPANSION_SECONDS", 1 if "**9" in expression[:14] else 60)
     path.write_text(text.replace("0 0 0.3", expression), encoding="utf-8")
-    with pytest.raises(RobotError, match=WRONG_XACRO[expression]) as caught:
+    with pytest.raises(RobotError, match=words) as caught:
         load_robot(path, xacro=True)
     assert (caught.value.code, caught.value.path) == ("xacro-failed", path)
 

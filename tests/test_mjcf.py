@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from case import DATA
 from urdf_corpus import stl
 
 from manip_learn.errors import RobotError
@@ -15,9 +16,6 @@ from manip_learn.robot.visuals.visual_shapes import Solid, visual_shapes
 
 GEOM = '<geom type="sphere" size="0.1"/>'
 RADIAN = '<compiler angle="radian"/>'
-DEFAULTS = """<compiler angle="radian"/>
-<default><joint axis="1 0 0"/><default class="c"><joint axis="0 1 0" range="0 1"/>
-<default class="d"><joint type="slide"/></default></default></default>"""
 
 
 def body(name: str, attributes: str = "", inside: str = "") -> str:
@@ -40,36 +38,16 @@ JOINT = '<joint name="j" axis="0 1 1"/>'
 SECOND = body("b", 'pos="0.3 0.1 0" euler="0.3 0 0.2"', '<joint name="k" axis="1 0 0.5"/>')
 
 
-def one(attributes: str, inside: str = JOINT, head: str = RADIAN) -> str:
-    """A file with one body in the world."""
-    return mjcf(body("a", attributes, inside), head)
+def files(folder: str) -> pytest.MarkDecorator:
+    """The files of a folder of tests/data."""
+    return pytest.mark.parametrize("path", [pytest.param(p, id=p.stem) for p in sorted((DATA / folder).glob("*.xml"))])
 
 
-SLIDE, LAST = '<joint name="x" type="slide" axis="1 0 0"/>', '<joint name="z" pos="0 1 0"/>'
-OF_CLASS = body("b", 'pos="1 0 0"', '<joint name="k" class="d"/>')
-CASES = {
-    "plain": one('pos="1 2 3"', JOINT + SECOND),
-    "joint away from its body": one('euler="0.1 0.2 0.3"', f'<joint name="j" axis="0 0 1" pos="0.1 0.2 0.3"/>{SECOND}'),
-    "reference angle": one('pos="0 0 1"', '<joint name="j" axis="0 0.6 0.8" ref="0.5"/>' + SECOND),
-    "reference slide": one('euler="1 0 0"', '<joint name="j" type="slide" ref="0.5"/>' + SECOND),
-    "axis and angle": one('axisangle="1 2 0 0.7"'),
-    "two axes": one('xyaxes="1 1 0 -1 2 0.3"'),
-    "z axis": one('zaxis="1 1 0.2"'),
-    "quaternion not of length one": one('quat="0.5 0.1 0.2 0.9"'),
-    "Euler mixed axes": one('euler="10 20 30"', head='<compiler eulerseq="xZy"/>'),
-    "default classes": one('childclass="c"', '<joint name="j"/>' + OF_CLASS, DEFAULTS),
-    "several joints in a body": one('pos="1 0 0"', SLIDE + JOINT + LAST),
-    "body without joint": one('pos="1 0 0" quat="0 1 0 0"', body("b", 'pos="0 1 0"', JOINT)),
-    "two bodies in the world": mjcf(body("a", 'pos="1 0 0"', JOINT) + body("b", 'pos="0 1 0"', '<joint name="k"/>')),
-    "free body": one('pos="1 0 0"', '<freejoint name="f"/>' + SECOND),
-}
-
-
-@pytest.mark.parametrize("name", CASES)
-def test_every_body_is_where_mujoco_puts_it(tmp_path, rng, name):
+@files("mjcf")
+def test_every_body_is_where_mujoco_puts_it(path, rng):
     """Positions and orientations of all bodies agree to 1e-12 at random joint values."""
     mujoco = pytest.importorskip("mujoco")
-    robot, model = load(tmp_path, CASES[name]), mujoco.MjModel.from_xml_string(CASES[name])
+    robot, model = load_robot(path), mujoco.MjModel.from_xml_path(str(path))
     data = mujoco.MjData(model)
     for _ in range(5):
         q = robot.random_configuration(rng)
@@ -87,7 +65,8 @@ def test_every_body_is_where_mujoco_puts_it(tmp_path, rng, name):
 def test_linear_couplings_become_mimic_joints(tmp_path, rng):
     """A coupled joint follows, counted from both reference values, as in MuJoCo's equation."""
     inside = '<joint name="j" ref="0.2"/>' + body("b", "", '<joint name="k" ref="0.1"/>')
-    robot = load(tmp_path, mjcf(body("a", "", inside), tail=COUPLED.format("0.3 -2")))
+    follows = '<equality><joint joint1="k" joint2="j" polycoef="0.3 -2"/></equality>'
+    robot = load(tmp_path, mjcf(body("a", "", inside), tail=follows))
     (mimic,) = robot.mimics
     assert (mimic.joint, mimic.leader, mimic.multiplier) == ("k", "j", -2.0)
     assert mimic.offset == pytest.approx(0.1 + 0.3 + 2 * 0.2)
@@ -159,23 +138,11 @@ def test_what_touches_in_mjcf_counts_for_collisions(tmp_path):
     assert known_shapes(robot) == "collision"
 
 
-COUPLED = '<equality><joint joint1="k" joint2="j" polycoef="{}"/></equality>'
-REFUSED = {
-    "mjcf-element": mjcf('<include file="other.xml"/>'),
-    "mjcf-class": one("", '<joint class="nowhere"/>'),
-    "mjcf-compiler": mjcf("", head='<compiler angle="gon"/>'),
-    "mjcf-orientation": one('quat="0 0 0 0"'),
-    "mjcf-orientation twice": one('quat="1 0 0 0" euler="0 0 1"'),
-    "mjcf-coupling": mjcf(body("a", "", JOINT + SECOND), tail=COUPLED.format("0 1 2")),
-    "joint-type": one("", '<joint type="ball"/>'),
-    "number": one('pos="x 0 0"'),
-    "limit-order": one("", '<joint limited="true" range="1 -1"/>'),
-}
-
-
-@pytest.mark.parametrize("code", REFUSED)
-def test_what_cannot_be_kept_is_refused(tmp_path, code):
-    """Files that Pinocchio's own reader takes in silence or garbles are refused with a code and a line."""
-    with pytest.raises(RobotError, match=str(tmp_path)) as caught:
-        load(tmp_path, REFUSED[code])
-    assert caught.value.code == code.partition(" ")[0] and caught.value.line is not None
+@files("mjcf_refused")
+def test_what_cannot_be_kept_is_refused(path):
+    """Files that Pinocchio's own reader takes in silence or garbles are refused with a code, that of the file's name,
+    and a line.
+    """
+    with pytest.raises(RobotError, match=path.name) as caught:
+        load_robot(path)
+    assert caught.value.code == path.stem.partition("_")[0] and caught.value.line is not None

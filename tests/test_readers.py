@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import bz2
 import importlib
+import json
 import shutil
-import sqlite3
-import struct
 import sys
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -14,7 +12,8 @@ from typing import Any, NamedTuple
 import numpy as np
 import pyarrow as pa
 import pytest
-from recording_corpus import FULL, GOOD, HEADER, JOINTS, TABLE, TIME, VELOCITIES, Q, U, csv, npz, refusal
+from case import rows_in
+from recording_corpus import FULL, GOOD, HEADER, JOINTS, TABLE, TIME, VELOCITIES, Q, U, csv, npz, refusal, text
 from recording_formats import (
     FPS,
     KINDS,
@@ -39,7 +38,6 @@ from recording_formats import (
 )  # fmt: skip
 from rosbags.rosbag1 import Writer as Writer1
 from rosbags.rosbag2 import CompressionMode
-from rosbags.rosbag2.reader import zstd
 from scipy.io import savemat
 
 import manip_learn as ml
@@ -278,6 +276,10 @@ BAGS = {
     ),
     "efforts of some messages": read(bag("mcap", but_one(lambda *c: c[:4], some("/joint_states", (0, 1, 2)))), ""),
     "a command beside": read(COMMANDED, "/command", u=U),
+    "velocities of one publisher": read(
+        bag("mcap", all_in_one(("joint1", "joint2")), some("/wrist", (2,))), "velocities", atol=1e-12
+    ),
+    "two efforts": read(bag("mcap", but_one(lambda *c: (*c, (1.0, 2.0)))), "1 message of /joint_states", u=U),
     "the command": read(COMMANDED, "", q=Q + 0.1, u=U, topics=["/command"]),
     "one message of other joints": read(
         bag("mcap", but_one(lambda s, _, *c: (s, ("joint1", "joint2", "jointX"), *c))),
@@ -324,7 +326,6 @@ def unfit(code: str, words: str, build: Build, **options: Any) -> Unfit:
 
 
 REMARKS = ("recorded by hand", "1, 2, 3, 4", "time, joint1, joint2")
-NUMBERED = table("time,q0,q1,q2,q3", TIME, Q, TIME)
 STATES = motion(0).tolist()
 NO_NAMES = ({"joint2": 5, "joint1": 0, "joint3": 1}, None, [], {}, [1, 2, 3], "abc", {"motors": "abc"})
 GAPS = {
@@ -395,46 +396,6 @@ HDF5 = {
 }
 
 
-def spoilt(build: Build, spoil: Any) -> Build:
-    """A bag whose file is changed."""
-
-    def write(folder: Path) -> Path:
-        path = build(folder)
-        spoil(next(path.glob("*.*[34pd]")) if path.is_dir() else path)
-        return path
-
-    return write
-
-
-def bomb_in_a_block(path: Path) -> None:
-    """A block of 100 bytes that unpacks to 64 MB."""
-    content = path.read_bytes()
-    start = content.index(b"BZh")
-    (size,) = struct.unpack_from("<I", content, start - 4)
-    bomb = bz2.compress(bytes(64_000_000))
-    path.write_bytes(content[:start] + bomb + bytes(size - len(bomb)) + content[start + size :])
-
-
-def claimed_terabyte(path: Path) -> None:
-    """In the index, which is believed."""
-    content = bytearray(path.read_bytes())
-    struct.pack_into("<Q", content, content.rindex(b"zstd") + 12, 10**12)
-    path.write_bytes(content)
-
-
-BOMB = zstd.compress(bytes(60_000_000))
-
-
-def bomb_in_a_message(path: Path) -> None:
-    with sqlite3.connect(path) as database:
-        database.execute("UPDATE messages SET data = ? WHERE id = 20", (BOMB,))
-
-
-def packed(kind: str, spoil: Any, **options: Any) -> Unfit:
-    """A bag that unpacks to more than any recording."""
-    return unfit("bomb", "", spoilt(bag(kind, all_in_one(), **options), spoil))
-
-
 POSITIONLESS = [(t, r, (s, n, (), u)) for t, r, (s, n, _, u) in all_in_one()]
 GUI = [(t, r + 8_000_000, (s + 8_000_000, n, Q[0] + 0.4)) for t, r, (s, n, *_) in all_in_one()]
 TWICE = but_one(lambda s, n, q, _: (s, (*n, "joint2"), (*q, 0.5)))
@@ -444,13 +405,6 @@ REFUSED = {
     "a column of text": unfit("not-a-number", "phase", table(HEADER + ",phase", TABLE, ["reach out"] * 60)),
     **{f"a remark {r!r}": unfit("no-header", ":2:", table(f"# {r}\n{TABLE[0, 0]},0,2,0", TABLE[1:])) for r in REMARKS},
     "commands alone": unfit("columns", "columns='target.{joint}'", table(header("target.{}"), TABLE)),
-    "a gap in the numbers": unfit("columns", "numbered 0, 1, 3", table("time,q0,q1,q3", TABLE), columns="q{index}"),
-    "more numbers than joints": unfit("columns", "4 such columns and 3 moving joints", NUMBERED, columns="q{index}"),
-    "no such column": unfit("columns", "no column 'pos.joint1'", table(HEADER, TABLE), columns="pos.{joint}"),
-    **{
-        f"the pattern {bad}": unfit("option", "", NUMBERED, columns=bad)
-        for bad in ("q", "{joint}{index}", ["a{joint}", "b{joint}", "c{joint}"])
-    },
     "a joint too many": unfit(
         "unknown-column", "no joint of robot", archive(q=TABLE, u=None, joint_names=["copy", *JOINTS])
     ),
@@ -478,43 +432,25 @@ REFUSED = {
     "names of joints are no positions": unfit("missing-array", "rename={'NAME': 'q'}", one("a.npz", NAMES_FIRST)),
     **{f"robomimic, link to {name}": unfit("link", "", linked(make), **GIVEN) for name, make in LINKS.items()},
     **{f"robomimic, {name}": unfit(code, "", linked(make), **GIVEN) for name, (code, make) in HDF5.items()},
+    "a stamp less": unfit("shape", "they have", archive(time=TIME[:-1], u=None)),
+    "four dimensions": unfit("shape", "must have shape", archive(q=Q[None, None])),
+    "one text for all names": unfit("shape", "a list of names", archive(joint_names=None, names=np.array("a b c"))),
+    "a bag of other joints": unfit("missing-joint", "joint3", bag("mcap", some("/arm", (0, 1)))),
     "velocities alone": unfit("no-positions", "velocities of 3 joints are recorded", bag("ros1", POSITIONLESS)),
     "no such topic": unfit("unknown-topic", "/command", COMMANDED, topics=["/wnted"]),
     "a forgotten GUI": unfit(
         "two-publishers", "joint.*Two programs published on one topic", bag("sqlite", all_in_one(u=None), GUI)
     ),
     "a joint twice": unfit("duplicate-column", "name the joint 'joint2' 2 times", bag("mcap", TWICE)),
-    "a bomb in a block": packed("ros1", bomb_in_a_block, compression=Writer1.CompressionFormat.BZ2),
-    "a claimed terabyte": packed("mcap", claimed_terabyte, mode=CompressionMode.STORAGE),
-    "a packed bomb": packed("sqlite", lambda path: path.write_bytes(BOMB), mode=CompressionMode.FILE),
-    "a packed message": packed("sqlite", bomb_in_a_message, mode=CompressionMode.MESSAGE),
 }  # fmt: skip
-# ---- options
-UNMATCHED = {
-    "a column renamed": ({"rename": {"jiont1": "joint1"}}, "'jiont1'.*did you mean 'joint1'"),
-    "to no joint": ({"rename": {"extra": "jiont1"}}, "no joint 'jiont1'.*did you mean 'joint1'"),
-    "a column ignored": ({"ignore_columns": ["ti"]}, "nothing in the recordings is called 'ti'.*'time'"),
-    "a topic of a table": ({"topics": ["/joint_states"]}, "none of the recordings is one"),
-    "names beside a header": ({"joint_names": ["a", "b", "c"]}, "name their columns or joints themselves"),
-    "a feature of a table": ({"feature": "qpos"}, "features exist only in LeRobot data sets"),
+FILES = {
+    **{"good.csv": text(GOOD), "bare.csv": text(GOOD.partition("\n")[2]), "gone.csv": lambda path: None},
+    "numbered.csv": text(csv(np.column_stack([TABLE, TIME]), "time,q0,q1,q2,q3")),
+    "gap.csv": text(csv(TABLE, "time,q0,q1,q3")),
 }
-UNKNOWN = {
-    "no option": ({"unit": "degrees"}, "there is no option 'unit'"),
-    "no unit": ({"time_unit": "min"}, "'ms'"),
-    "no rate": ({"rate": 0}, "positive"),
-    "two units": ({"degrees": True, "units": "radians"}, "contradict"),
-    "ignored numbers": ({"ignore_columns": (1,)}, "names"),
-    "named numbers": ({"joint_names": 3}, "names"),
-    "a list to rename": ({"rename": ["a"]}, "rename"),
-    **{
-        f"episodes {chosen!r}": ({"episodes": chosen}, "0:50,60,75")
-        for chosen in ("", "a", "1-3", "3,", "-1", "1:2:3", "1.5", [], [-1], [1.5], ["1"], 2.5, True)
-    },
-}
-REFUSED |= {name: unfit("option", said, table(HEADER, TABLE), **options) for name, (options, said) in UNMATCHED.items()}
-REFUSED |= {  # before any file is opened
-    name: unfit("option", said, lambda folder: folder / "gone.csv", **options)
-    for name, (options, said) in UNKNOWN.items()
+REFUSED |= {
+    what: unfit(code, said, one(file, FILES[file]), **json.loads(options))
+    for what, file, code, said, options in rows_in("wrong_options.txt")
 }
 
 
@@ -638,18 +574,15 @@ def test_paths_may_be_strings_lists_and_folders(planar3: ml.Robot, folder: Path)
         refusal(paths, planar3)
 
 
-LIBRARIES = [("rosbags", "readers.bags", "ros"), ("pyarrow", "readers.lerobot", "lerobot")]
-LIBRARIES += [("h5py", "readers.hdf5", "robomimic")]
-
-
-@pytest.mark.parametrize(("missing", "module", "extra"), LIBRARIES)
+@pytest.mark.parametrize(("missing", "module", "extra"), rows_in("missing_libraries.txt"))
 def test_missing_libraries_name_the_extra(missing: str, module: str, extra: str, monkeypatch) -> None:
     """Without the library: one sentence with the pip command, not an ImportError."""
-    for name in [n for n in sys.modules if n.startswith("manip_learn.recordings.")]:
+    parts = ("manip_learn.recordings.", f"manip_learn.{module}", f"{missing}.")
+    for name in [n for n in sys.modules if n.startswith(parts)]:
         monkeypatch.delitem(sys.modules, name)
     monkeypatch.setitem(sys.modules, missing, None)
     with pytest.raises(MissingExtraError, match=rf"manip_learn\[{extra}\]"):
-        importlib.import_module(f"manip_learn.recordings.{module}")
+        importlib.import_module(f"manip_learn.{module}")
 
 
 # ---- selected episodes

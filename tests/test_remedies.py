@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 import scipy.io
-from case import case
+from case import case, rows_in
 from recording_corpus import GOOD, JOINTS, TABLE, TIME, VELOCITIES, Q, csv, npz, refusal, text
 from recording_formats import (
     START,
@@ -22,10 +22,12 @@ from recording_formats import (
     Build,
     all_in_one,
     archive,
+    bag,
     dataset,
     frames,
     h5py,
     info,
+    lerobot,
     motion,
     one,
     pa,
@@ -35,14 +37,14 @@ from recording_formats import (
     version_2,
     write_bag,
 )
-from recording_formats import bag as bag_of
 
 import manip_learn as ml
 from manip_learn.cli import main
 
 RADIANS = ("--units", "radians")
 NAMED = ("--joint-names", ",".join(JOINTS))
-QPOS, MOVING = {"qpos": {"dtype": "float32", "shape": [3], "names": list(JOINTS)}}, pa.array(motion(0).tolist())
+FRAMES = frames({0: motion(0)})
+QPOS = {**info(None), "features": {"qpos": {"dtype": "float32", "shape": [3], "names": JOINTS}}}
 HEAD = "time,joint1,joint2,joint3"
 OTHER = 0.5 * Q + 0.1  # of a second arm
 STAMPS = [START + int(step) for step in STEPS]  # [ns]
@@ -78,10 +80,6 @@ def obeyed(path: Path, out: Path, capsys: Any, given: Sequence[str], way: int = 
     return list(heard.values())
 
 
-def bag(*streams: list[Any]) -> Build:
-    return bag_of("mcap", *streams)
-
-
 def shuffled(folder: Path) -> Path:
     """Stamps in no order at all, received in one."""
     received = np.random.default_rng(0).permutation(STAMPS)
@@ -92,16 +90,9 @@ def shuffled(folder: Path) -> Path:
 CHANGING = [(t, r, (s, (f"x{k}", *n[1:]), q)) for k, (t, r, (s, n, q, *_)) in enumerate(all_in_one() * 6)]
 
 
-def lerobot(described: Any = None, drop: tuple[str, ...] = (), **more: Any) -> Build:
-    """A data set of one episode, with more columns or fewer."""
-    files = {"data/episode_000000.parquet": frames({0: motion(0)}, **more).drop_columns(list(drop))}
-    return lambda folder: dataset(folder / "set", info(list(JOINTS)) if described is None else described, files)
-
-
 def without_a_file(folder: Path) -> Path:
     root = version_2(folder / "set")
     (root / "data/chunk-000/episode_000010.parquet").unlink()
-    (root / "meta/info.json").write_text(json.dumps({**info(list(JOINTS)), "total_episodes": 4}))
     return root
 
 
@@ -121,14 +112,22 @@ REFUSED: dict[str, tuple[str, Build, tuple[str, ...]]] = {
     "an archive without names": ("no-joint-names", archive(joint_names=None, u=None), ()),
     "another name": ("missing-array", one("a.npz", npz(time=TIME, measured=Q, other=Q, joint_names=JOINTS)), ()),
     "too few names": ("shape", archive(joint_names=None, u=None), ("--joint-names", "joint1,joint2")),
-    "several topics": ("ambiguous-topic", bag(all_in_one(topic="/real"), all_in_one(topic="/other")), ()),
-    "names that change": ("unsteady-names", bag(CHANGING, all_in_one(topic="/real")), ()),
+    "several topics": ("ambiguous-topic", bag("mcap", all_in_one(topic="/real"), all_in_one(topic="/other")), ()),
+    "names that change": ("unsteady-names", bag("mcap", CHANGING, all_in_one(topic="/real")), ()),
     "no order in a bag": ("time-order", shuffled, ()),
-    "no units": ("units", lerobot(), ()),
-    "no names of motors": ("no-joint-names", lerobot(info(None)), RADIANS),
-    "another feature": ("no-state", lerobot({**info(None), "features": QPOS}, qpos=MOVING), RADIANS),
-    "stamps against fps": ("fps", lerobot(timestamp=pa.array(np.arange(80) / 30.0)), RADIANS),
-    "no rate": ("no-time", lerobot({**info(list(JOINTS)), "fps": None}, drop=("timestamp",)), RADIANS),
+    "no units": ("units", lerobot(FRAMES), ()),
+    "no names of motors": ("no-joint-names", lerobot(FRAMES, names=None), RADIANS),
+    "another feature": (
+        "no-state",
+        lerobot(FRAMES.append_column("qpos", FRAMES["action"]), described=QPOS),
+        RADIANS,
+    ),
+    "stamps against fps": ("fps", lerobot(frames({0: motion(0)}, timestamp=pa.array(np.arange(80) / 30.0))), RADIANS),
+    "no rate": (
+        "no-time",
+        lerobot(FRAMES.drop_columns("timestamp"), described={**info(JOINTS), "fps": None}),
+        RADIANS,
+    ),
     "a file is missing": ("lost-samples", without_a_file, RADIANS),
     "no names in HDF5": ("no-joint-names", one("a.hdf5", robomimic), ()),
     "no rate in HDF5": ("no-time", one("a.hdf5", lambda path: robomimic(path, env_args=None)), NAMED),
@@ -138,11 +137,11 @@ TO_DO: dict[str, tuple[str, Build, tuple[str, ...], str]] = {
     "velocities only": ("no-positions", table("time" + VELOCITIES, TABLE), (), "record positions too"),
     "no overlap": (
         "no-overlap",
-        bag(some("/a", (0, 1)), some("/b", (2,), late=6 * 10**10)),
+        bag("mcap", some("/a", (0, 1)), some("/b", (2,), late=6 * 10**10)),
         (),
         "record them together",
     ),
-    "no joint states": ("no-joint-states", bag_of("mcap", foreign="uint8 x\n"), (), "record /joint_states"),
+    "no joint states": ("no-joint-states", bag("mcap", foreign="uint8 x\n"), (), "record /joint_states"),
     "radians called degrees": ("degrees", one("a.csv", text(GOOD)), ("--degrees",), "leave --degrees out"),
 }
 
@@ -232,16 +231,7 @@ WRITERS: dict[str, Write] = {
     "HDF5 as of ALOHA": in_file("episode_0.hdf5", of_aloha, "--joint-names", "{}", "--rate", "50"),
 }
 # how the joints are called in the file
-CALLED: dict[str, tuple[str, ...]] = {
-    "a prefix": tuple(f"left_{j}" for j in JOINTS),
-    "a prefix and a suffix": tuple(f"arm-{j}:0" for j in JOINTS),
-    "capitals": ("Joint1", "Joint2", "Joint3"),
-    "a letter for the word": ("J1", "J2", "J3"),
-    "counted from 0": ("q[0]", "q[1]", "q[2]"),
-    "one misspelt": ("joint1", "jiont2", "joint3"),
-    "all misspelt": ("jiont1", "joit2", "jont_3"),
-    "two arms": tuple(f"{side}_{j}" for side in ("left", "right") for j in JOINTS),
-}
+CALLED = {what: tuple(names.split()) for what, names in rows_in("names_of_joints.txt")}
 
 
 @pytest.mark.parametrize("name", WRITERS)
@@ -267,28 +257,19 @@ def test_what_is_offered_reads_the_file(name: str, planar3: ml.Robot, capsys) ->
             victim.write_bytes(content)
 
 
-def lines(header: str, first: Callable[[int], str] = lambda i: "", end: str = "") -> str:
+def lines(header: str, before: str, after: str) -> str:
     """Return a table of stamps and positions with something before and after each row."""
-    body = [first(i) + ",".join(f"{x:.17g}" for x in row) + end for i, row in enumerate(np.column_stack([TIME, Q]))]
-    return "\n".join([header, *body, ""])
+    rows = (",".join(f"{x:.17g}" for x in row) for row in np.column_stack([TIME, Q]))
+    return "\n".join([header, *(before.format(i) + row + after for i, row in enumerate(rows, 1)), ""]).lstrip("\n")
 
 
 BARE = "\n".join(" ".join(f"{x:.17g}" for x in row) for row in Q) + "\n"
 # how a table is written -> its text, and options
 TABLES: dict[str, tuple[str, list[str]]] = {
-    "a comma at each line's end": (lines(HEAD + ",", end=","), []),
-    "a comma at each row's end": (lines(HEAD, end=","), []),
-    "R, names of rows": (lines('"time","joint1","joint2","joint3"', first=lambda i: f'"{i + 1}",'), []),
-    "R, a name of the names": (lines('"",' + HEAD, first=lambda i: f'"{i + 1}",'), []),
-    "row numbers of a part": (lines("," + HEAD, first=lambda i: f"{i + 500},"), []),
-    "names with commas": (lines('"time","a,joint1","a,joint2","a,joint3"'), []),
-    "a name with a comma beside the joints": (lines(f'{HEAD},"x, y"', end=",1.5"), ["--columns", "{joint}"]),
-    "text with commas": (lines(f"{HEAD},label", end=',"a, b"'), ["--columns", "{joint}"]),
-    "no header": (lines(HEAD).split("\n", 1)[1], ["--joint-names", HEAD]),
-    "no header, a column too many": (lines("", end=",7").split("\n", 1)[1], ["--joint-names", f"{HEAD},-"]),
-    "no header, no time": (BARE, [*NAMED, "--rate", "50"]),
-    "no time": ("joint1 joint2 joint3\n" + BARE, ["--rate", "50"]),
+    what: (lines(*written), options.split()) for what, *written, options in rows_in("tables_of_other_programs.txt")
 }
+TABLES["no header, no time"] = BARE, [*NAMED, "--rate", "50"]
+TABLES["no time"] = "joint1 joint2 joint3\n" + BARE, ["--rate", "50"]
 
 
 @pytest.mark.parametrize("name", TABLES)
@@ -310,7 +291,7 @@ def test_patterns_of_names_in_python(planar3: ml.Robot, tmp_path: Path) -> None:
     is not joint 1 misspelt: only the robot's order is offered, which the user must confirm.
     """
     path, _ = WRITERS["NPZ"](tmp_path, CALLED["a prefix"], Q)
-    for rename in ("left_{joint}", {"left_joint{joint}": "joint{joint}"}):
+    for rename in ("left_{joint}", "left_joint{index}", {"left_joint{joint}": "joint{joint}"}):
         np.testing.assert_array_equal(ml.load_demonstrations(path, planar3, rename=rename)[0].q, Q)
     for rename in ("left_", {"left_{joint}": "joint1"}, {"left_joint{index}": "joint1"}, {"left_{joint}": 3}):
         assert refusal(path, planar3, rename=rename).code == "option"

@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 import pytest
+from case import rows_in
 from conftest import TIPS, URDFS, tip_of
 from rounding import rounding
 from test_gradients import central_difference
@@ -227,10 +228,6 @@ def test_the_shipped_sawyer_has_the_numbers_of_its_source(robot_of):
     np.testing.assert_allclose(tip - hand, (hand - wrist) * 0.1 / 0.0245, atol=1e-12)
 
 
-# joint: lower [rad], upper [rad], velocity [rad/s], effort [N m]
-# link: mass [kg], centre of mass [m]
-
-
 # ---- joints that follow others, wherever their leaders are ----
 
 TYPES = {"a": "revolute", "b": "prismatic", "c": "revolute", "d": "revolute"}
@@ -295,21 +292,14 @@ def test_full_turns_reach_the_follower():
     assert_same_place(robot, [a, 0, 0], [a, a / 2, 0, 0], types=types)
 
 
-@pytest.mark.parametrize(
-    ("follows", "limit", "leader", "told"),
-    [
-        ((-2.0, 0.2), 'lower="-0.4" upper="1" velocity="0.5"', (-0.4, 0.3, 0.25), "-0.4 ... 0.3 by its follower 'b'"),
-        ((-2.0, 0.2), 'lower="-4" upper="4" velocity="0"', (-1.9, 2.1, 2.0), "limit"),  # a velocity limit of 0 is none
-        ((0.1, 9.0), 'lower="-3" upper="3" velocity="2"', (-3.0, 3.0, 2.0), "the limits of 'b' are ignored"),
-        ((0.5, 0.0), 'lower="-1.49999" upper="1.49999" velocity="2"', (-3.0, 3.0, 2.0), ""),  # up to rounding
-        ((1.0, 0.0), 'upper="2.5" velocity="2"', (-3.0, 2.5, 2.0), "limited to"),
-    ],
-)
+@pytest.mark.parametrize(("follows", "limit", "leader", "told"), rows_in("limits_of_followers.txt"))
 def test_limits_of_followers_bind_the_leader(follows, limit, leader, told):
     """Position limits through the factor and offset, also a negative factor; velocity limits through its size."""
-    robot = load({"b": ("a", *follows)}, limits={"b": f'<limit {limit} effort="1"/>'})
-    seen = (robot.position_lower[0], robot.position_upper[0], robot.velocity_limit[0])
-    assert seen == pytest.approx(leader) and any(told in w for w in robot.warnings) == bool(told)
+    factor, offset = map(float, follows.split())
+    robot = load({"b": ("a", factor, offset)}, limits={"b": f'<limit {limit} effort="1"/>'})
+    seen = [robot.position_lower[0], robot.position_upper[0], robot.velocity_limit[0]]
+    assert seen == pytest.approx([*map(float, leader.split())])
+    assert any(told in w for w in robot.warnings) == bool(told)
 
 
 MASS = '<inertial><origin xyz="0.1 0.2 0"/><mass value="2"/><inertia ixx="1" ixy="0" ixz="0" iyy="2" iyz="0" izz="3"/>'

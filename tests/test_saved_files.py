@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from case import case
+from case import case, rows_in
 from recording_corpus import TIME, Q, U, refusal
 from recording_formats import pq, table
 
@@ -98,7 +98,9 @@ def test_a_rollout_comes_back_bit_for_bit(suffix: str, arms: Path, tmp_path: Pat
 def test_a_rollout_can_be_learnt_from_again(planar3: Robot, robot_of, tmp_path: Path) -> None:
     """The same motion, limits are not used to doubt our own units; continuous joints as (cos, sin) become angles."""
     rollout = Rollout(TIME, Q * 10.0, U * 10.0, TIME, ("ok",) * 60, planar3.joint_names, TIME)
-    demos = ml.load_demonstrations(rollout.save(tmp_path / "r.npz"), planar3)
+    path = rollout.save(tmp_path / "r.npz")
+    demos = ml.load_demonstrations(path, planar3)
+    assert refusal(path, planar3, units="degrees").code == "units"
     assert any("beyond their limits" in note for note in demos.notes)
     wrist = robot_of("wrist")
     positions = np.column_stack([3.0 + TIME, 0.1 * TIME, 6.0 * TIME, 0.2 * TIME])
@@ -258,17 +260,6 @@ def test_a_constraint_file_comes_back_if_another_program_wrote_it(planar3: Robot
     assert json.loads(again.read_text())["schema"] == 2 and new.provenance == old.provenance
 
 
-AFTER = 'c.json was changed after .* delete the entry "sha256"'
-# entry of a constraint file, another value, words of the refusal
-CHANGED: list[tuple[str, Any, str]] = [
-    ("features.radius", 1.2500001, AFTER),
-    ("provenance.shown.extent", 0.5, AFTER),
-    ("skill.steps", [], AFTER),
-    *(("schema", n, "this version reads 1 and 2: load it with a newer") for n in (3, 0, "2", None, [2])),
-    *(("provenance.gap", [x], "c.json is damaged: .* finite number") for x in (np.nan, -np.inf, "1e999")),
-]
-
-
 @pytest.mark.parametrize("old", [False, True])
 def test_what_was_changed_in_a_constraint_file_is_refused(old: bool, planar3: Robot, door: Path) -> None:
     """In features, what was shown and the steps of a skill, in either format; not in what is only reported. A number of
@@ -276,19 +267,19 @@ def test_what_was_changed_in_a_constraint_file_is_refused(old: bool, planar3: Ro
     """
     text, constraint = (OF_02 if old else door).read_text(), ml.Constraint.load(OF_02 if old else door, planar3)
 
-    def change(key: str, value: Any) -> None:
+    def change(key: str, value: str) -> None:
         content = inner = json.loads(text)
         *keys, last = key.split(".")
         for step in keys:
             inner = inner[step]
-        inner[last] = value
-        door.write_text(json.dumps(content).replace('"1e999"', "1e999"))
+        inner[last] = "VALUE"
+        door.write_text(json.dumps(content).replace('"VALUE"', value))
 
-    for key, value, words in CHANGED:
+    for key, value, words in rows_in("changed_constraints.txt"):
         change(key, value)
         with case(key, value), pytest.raises(ConstraintMismatchError, match=words):
             ml.Constraint.load(door, planar3)
-    change("provenance.sentence", "another one")
+    change("provenance.sentence", '"another one"')
     assert ml.Constraint.load(door, planar3).provenance["sentence"] == "another one"
     with pytest.raises(ValueError, match="float values|finite number"):
         ml.Constraint(constraint.selection, constraint.features, {"gap": np.inf}).save(door)
@@ -301,17 +292,9 @@ def test_an_identity_is_kept_in_json(arms: Path) -> None:
     words = json.loads(json.dumps(identity.to_dict()))
     assert RobotIdentity.from_dict(words) == identity
     assert RobotIdentity.from_dict({k: v for k, v in words.items() if k not in ("locked", "objects")}).locked == {}
-    for sentence, change in {
-        "nq must be a number": {"nq": True},
-        "nq must be a number, it is -1": {"nq": -1},
-        "name must be text": {"name": 3},
-        "joint_names must be a list of names": {"joint_names": ["a", 1]},
-        "locked joints must be an object": {"locked": []},
-        "'j2' is locked at True": {"locked": {"j2": True}},
-        "objects must be a list": {"objects": "box"},
-    }.items():
+    for sentence, change in rows_in("damaged_identities.txt"):
         with case(sentence), pytest.raises(ValueError, match=sentence):
-            RobotIdentity.from_dict(words | change)
+            RobotIdentity.from_dict(words | json.loads(change))
 
 
 def test_what_differs_is_said(arms: Path, robot: Robot) -> None:

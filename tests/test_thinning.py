@@ -7,23 +7,17 @@ from functools import partial
 import numpy as np
 import pytest
 from recording_formats import frames, lerobot, motion, pa
-from scale_motions import motions
+from scale_motions import TWO, motions
 from task_sets import generated, true_rows
 
 import manip_learn as ml
 from manip_learn.errors import NotIdentifiableError
 from manip_learn.learning.table import EvenChoice, read_evenly
-from manip_learn.linalg import orthonormal_rows, row_space_angle
+from manip_learn.linalg import row_space_angle
 from manip_learn.recordings import load as trajectory_source
 from manip_learn.recordings.velocities import with_velocities
 
-TWO = orthonormal_rows(np.array([[1.0, 0.2, 0.3], [-0.3, 0.9, 0.2]]))
 HELD = {"velocities": "recorded", "n_constraints": 2, "estimator": "null-space"}
-
-
-@pytest.fixture(scope="module")
-def features() -> ml.FrameJacobian:
-    return ml.FrameJacobian(ml.load_robot("sawyer"), "right_gripper_tip", "xyz")
 
 
 @pytest.fixture(scope="module")
