@@ -232,11 +232,9 @@ def test_impossible_things_and_bad_files(made, error, sentence, content, tmp_pat
 
 
 def test_names_and_files_that_are_not_there(tmp_path):
-    """A ball among the boxes is named with its kind, what is handled and a file by their names."""
+    """A ball among the boxes is named with its kind, a file by its name."""
     with pytest.raises(SceneError, match="boxes hold Sphere"):
         ml.Scene(boxes=[THINGS[1]])
-    with pytest.raises(errors.UnknownNameError, match="'boks'.*did you mean 'box'"):
-        ml.Scene(boxes=[THINGS[0]], handled="boks")
     with pytest.raises(RobotError, match=r"none\.json.*no such file"):
         ml.Scene.load(tmp_path / "none.json")
 

@@ -271,6 +271,9 @@ class Scene:
                 raise SceneError('the file is empty; a scene is expected, e.g. {"floor": 0.0}; write one')
             is_xml = content.lstrip(b"\xef\xbb\xbf \t\r\n").startswith(b"<")
             scene = _from_xml(content, file) if is_xml else _from_json(Scene, parsed_json(content), "the scene", file)
+        except UnknownNameError as error:
+            error.args = (f"{file}: {error}",) if error.kind == "thing" else error.args  # of a key it names the file
+            raise
         except (SceneError, TypeError, ValueError) as error:
             problem = error if isinstance(error, SceneError) else f"it is no scene ({error}); repair it"
             raise SceneError(f"{file}: {problem}") from error
