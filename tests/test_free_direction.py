@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from case import case
 from numpy.testing import assert_allclose
 from test_gradients import RobotOf
 
 import manip_learn as ml
-from manip_learn.errors import ConstraintError, TargetError
 from manip_learn.robot.rotations import rotation_matrix, rotation_vector
 
 TIP = "panda_hand_tcp"
@@ -136,51 +134,3 @@ def test_start_reset_and_a_second_run(robot_of: RobotOf) -> None:
     assert given.progress(here) == pytest.approx(0.02, abs=1e-3)
     wanted = robot.position(READY, TIP) + [0.05, 0.0, 0.0]
     assert_allclose(places(run(given, here), robot)[-1], wanted, rtol=0, atol=1e-4)
-
-
-WRONG = [
-    ({"distance": 0.0}, "distance must be a finite number other than 0"),
-    ({"distance": np.nan}, "distance"),
-    ({"distance": "far"}, "distance must be a number"),
-    ({"speed": 0.0}, "speed must be a positive number"),
-    ({"speed": np.inf}, "speed"),
-    ({"gain": 0.0}, "gain"),
-    ({"ramp": -1.0}, "ramp"),
-    ({"direction": (0.0, 1.0, 0.0)}, r"holds the direction .* free is \+1 x"),
-    ({"direction": (1.0, 0.0)}, "3 finite numbers"),
-    ({"direction": (0.0, 0.0, 0.0)}, "not all zero"),
-    ({"direction": "ahead"}, "3 finite numbers .* got 'ahead'"),
-]
-NOT_DRIVEN = [  # rows of a mechanism or axes, selection, direction
-    ("x y", None, None, ConstraintError, "none of x y free"),
-    ("x y z rz", [[0, 0, 1.0, 0]], None, ConstraintError, r"3 directions free \(\+1 x; \+1 y; \+1 rz\)"),
-    ("radial", None, None, ConstraintError, r"2 directions free .*tangential \(around the axis\).*direction='tang"),
-    ("spherical", None, None, ConstraintError, "turns about every axis"),
-    ("radial axial tangential", None, None, ConstraintError, "nothing free"),
-    ("radial axial", [[1.0, 0.5]], None, ConstraintError, "combinations"),
-    ("radial", None, "turn", TargetError, ""),
-    ("radial", None, (0, 0, 1), TargetError, ""),
-    ("spherical", None, "x", TargetError, ""),
-    ("spherical", None, (0, 0, 0), TargetError, ""),
-]
-
-
-def test_what_is_refused(robot_of: RobotOf) -> None:
-    """Wrong arguments, nothing free, several directions free, a held or unknown row, combinations: each with
-    a sentence that names it.
-    """
-    robot = robot_of("panda")
-    line = ml.Constraint(np.eye(3)[1:], ml.FrameJacobian(robot, TIP))
-    for arguments, words in WRONG:
-        with case(arguments), pytest.raises(TargetError, match=words):
-            ml.FreeDirection(line, **({"distance": 0.1, "speed": 0.1} | arguments))
-
-    def driven(rows: str, selection, direction) -> None:
-        features = (ml.FrameJacobian if rows[0] == "x" else ml.MechanismRows)(robot, TIP, rows)
-        constraint = ml.Constraint(np.eye(features.n_rows) if selection is None else selection, features)
-        ml.FreeDirection(constraint, 1, 1, direction=direction)
-
-    for rows, selection, direction, error, words in NOT_DRIVEN:
-        with case(rows, direction), pytest.raises(error, match=words or None):
-            driven(rows, selection, direction)
-    driven("radial axial", [[1.0, 0.0]], "axial")  # what is not selected is free

@@ -21,7 +21,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from task_sets import DATA
 
 import manip_learn as ml
-from manip_learn.errors import FeatureError, NotFittedError, NotIdentifiableError
+from manip_learn.errors import NotFittedError, NotIdentifiableError
 from manip_learn.experiments.paper_setup import Setup, demonstrate
 from manip_learn.linalg import orthonormal_rows, row_space_angle
 
@@ -99,28 +99,6 @@ def test_nothing_is_learnt_before_a_fit():
             getattr(learner, name)
     with pytest.raises(AttributeError, match="'report'"):
         getattr(learner, "report")  # noqa: B009
-
-
-LEAST = {"strength": 0.5, "switching_cost": -1.0, "joint_offset_std": -0.1, "link_error_std": -0.1, "max_samples": 99}
-
-
-@pytest.mark.parametrize(
-    ("settings", "words"),
-    [
-        ({"estimator": "magic"}, "'magic'"),
-        ({"phases": "often"}, "phases must be 'auto' or 'off'"),
-        ({"velocities": "guessed"}, "velocities must be one of"),
-        ({"features": []}, "at least one"),
-        ({"features": [3]}, "features must be"),
-        ({"n_constraints": 4}, "between 1 and 3"),
-        ({"n_constraints": 1.5}, "an integer"),
-        *(({name: x}, f"{name} must be") for name, bad in LEAST.items() for x in (bad, np.nan, np.inf, True, "some")),
-    ],
-)
-def test_settings_out_of_range(settings: dict[str, Any], words: str):
-    """Unknown words, no features, and numbers that are none or too small: refused at once, each by its name."""
-    with pytest.raises(FeatureError, match=words):
-        ml.ConstraintLearner(**({"features": planar_features()} | settings))
 
 
 def test_a_policy_model_that_is_none():

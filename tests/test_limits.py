@@ -11,7 +11,7 @@ from servo_cases import Arm, Constantly
 
 import manip_learn as ml
 from manip_learn.control.barriers import approach_bound
-from manip_learn.errors import ConfigurationError, ManipLearnError, UnknownNameError
+from manip_learn.errors import ConfigurationError, ManipLearnError
 
 TIP, SPEED, DT = "right_gripper_tip", 0.25, 0.002
 CLEARANCE, SLACK = 0.005, 1e-4  # [m]
@@ -89,30 +89,6 @@ def test_a_singularity_is_approached_so_slowly_that_the_arm_can_stop():
     # a long step leaves less: half of the distance in each
     assert approach_bound(1e-3, slope, acceleration, 0.1) == pytest.approx(5.0 * 5e-4 + 5.0 * 1e-3)
     assert approach_bound(0.1, np.zeros(3), acceleration, 1e-3) == np.inf
-
-
-REFUSED = [
-    ({"velocity": 0.0}, "velocity limit of joint 'right_j0' must be positive, got 0"),
-    ({"acceleration": [1.0, 1.0]}, "7 numbers"),
-    ({"acceleration": [1, 1, -1, 1, 1, 1, 1]}, "'right_j2' must be positive, got -1"),
-    ({"jerk": np.nan}, "must be positive, got nan"),
-    ({"margin": 4.0}, "no room to joint 'right_j0'"),
-    ({"margin": 2.977}, "'right_j4', whose range is 5.9522 wide"),
-    ({"margin": -0.1}, "margin"),
-    *(({"tip_speed": speed}, "tip_speed") for speed in (0.0, -1.0, np.nan, np.inf, "fast")),
-    ({"tip_speed": 1.0, "frames": "nowhere"}, "nowhere"),
-    *(({"tip_box": x}, "a box is two rows") for x in ([0.0, 1.0], [[0.0] * 3, [1.0, 0, 1]], [[0.0] * 3, [np.nan] * 3])),
-    *(({"tip_walls": x}, "walls must be rows") for x in ([1.0, 0, 0, 1], [[0.0, 0, 0, 1]], [[1.0, 0, 0, np.inf]])),
-    *(({"clear_of": ml.Scene(floor=-1.0), "clearance": x}, f"clearance is {x}") for x in (-0.1, math.nan)),
-]
-
-
-@pytest.mark.parametrize(("settings", "words"), REFUSED)
-def test_impossible_limits_are_refused(settings, words, sawyer):
-    """The joint or the setting and the value seen are named, and the width of a range that a margin uses up."""
-    unknown = "frames" in settings
-    with pytest.raises(UnknownNameError if unknown else ConfigurationError, match=words):
-        ml.Limits(sawyer, **settings)
 
 
 # ---- frames ----

@@ -154,6 +154,8 @@ def test_the_force_that_a_way_took_limits_the_next():
     again = ml.Shown.from_dict(json.loads(json.dumps(shown.to_dict())))
     assert again is not None and again.force == shown.force
     assert allowed(constraint) == pytest.approx(60.0, rel=0.02)
+    former = ml.Contact(held=15.0, driven=20.0)  # the names until 0.4
+    assert former == ml.Contact(15.0, 20.0) and (former.held, former.driven) == (15.0, 20.0)
     assert allowed(constraint, ml.Contact(80.0)) == 80.0 and allowed(constraint, ml.Contact(15.0, 20.0)) == 20.0
     for unknown in (forces(0.0, friction=0.5), forces(40.0, weight=0.1)):
         assert unknown.shown is not None and unknown.shown.force is None and allowed(unknown) == "auto"
