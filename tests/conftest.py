@@ -124,6 +124,12 @@ def named_robot(name: str, folder: Path) -> Robot:
     return load_robot(name, locked=LOCKED.get(name, ()))
 
 
+def table(name: str) -> list[list[str]]:
+    """The rows of a table of `tests/data`: cells with `|` between, the last of which may have some; a header first."""
+    header, *lines = (Path(__file__).parent / "data" / name).read_text(encoding="utf-8").splitlines()
+    return [[cell.strip() for cell in line.split("|", header.count("|"))] for line in lines]
+
+
 def tip_of(robot_name: str) -> str:
     """The frame that the tests look at."""
     return TIPS.get(robot_name, "tip")

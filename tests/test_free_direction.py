@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import json
+
 import numpy as np
 import pytest
+from conftest import table
 from numpy.testing import assert_allclose
 from test_gradients import RobotOf
 
@@ -13,8 +16,6 @@ from manip_learn.robot.rotations import rotation_matrix, rotation_vector
 TIP = "panda_hand_tcp"
 READY = np.array([0.0, -0.3, 0.0, -2.0, 0.0, 1.8, 0.7])
 AXIS = np.array([0.1, -0.2, 0.95]) / np.linalg.norm([0.1, -0.2, 0.95])
-FIRM, SLEEVE = "turn-1 turn-2 slide-1 slide-2 slide", "turn-1 turn-2 slide-1 slide-2"
-FAR, NEAR, OUT = (0.1, 0.25, -0.3), (0.05, 0.03, 0.0), (0.1, 0.2, -0.1)  # from the hand to the axis [m]
 
 
 def run(task: ml.FreeDirection, q: np.ndarray, limits: bool | ml.Limits = True, climb: bool = False) -> ml.Rollout:
@@ -50,28 +51,15 @@ def test_a_held_pose_along_an_oblique_line(robot_of: RobotOf, view: str, distanc
     assert_allclose(end[:3, 3], start[:3, 3], rtol=0, atol=1e-4)
 
 
-# rows, pitch, place of the axis, distance, direction, unit; of the hand: where one way is free, whether it turns
-MOVED = [
-    ("radial axial", 0.0, FAR, 1.0472, None, "rad", ""),
-    (FIRM, 0.0, FAR, -1.0472, None, "rad", "carried"),
-    ("radial axial turn-1 turn-2 turn", 0.0, FAR, 1.0472, None, "rad", "fixed"),
-    ("radial helical", 0.03, NEAR, 4.0, None, "rad", ""),
-    (f"{SLEEVE} screw", -0.03, NEAR, 1.5, None, "rad", "carried"),
-    ("radial", 0.0, OUT, 0.1, "axial", "m", None),
-    (SLEEVE, 0.0, OUT, -0.4, "turn", "rad", None),
-    (SLEEVE, 0.0, OUT, -0.05, "slide", "m", None),
-    ("spherical", 0.0, OUT, 0.5, (0.0, 0.0, 2.0), "rad", None),
-    ("slide-1 slide-2 slide", 0.0, OUT, 0.5, (0.0, 0.0, 2.0), "rad", None),
-]
-
-
-@pytest.mark.parametrize(("rows", "pitch", "off", "distance", "direction", "unit", "hand"), MOVED)
+@pytest.mark.parametrize(
+    ("rows", "pitch", "off", "distance", "direction", "unit", "hand"), table("ways_on_mechanisms.txt")
+)
 def test_on_a_mechanism(robot_of: RobotOf, rows, pitch, off, distance, direction, unit, hand) -> None:
     """A door turns, a screw moves along its axis by the pitch times the angle, in both senses of thread, also beyond
     half a turn; where several directions are free the named one is driven. What is held stays within 0.1 mm, however
     the hand is held.
     """
-    robot = robot_of("panda")
+    robot, pitch, off, distance, direction = robot_of("panda"), *map(json.loads, (pitch, off, distance, direction))
     start = robot.pose(READY, TIP)
     point, ball = start[:3, 3] + off, rows in ("spherical", "slide-1 slide-2 slide")
     features = ml.MechanismRows(robot, TIP, rows, axis=AXIS, point=point, pitch=pitch)
@@ -81,15 +69,15 @@ def test_on_a_mechanism(robot_of: RobotOf, rows, pitch, off, distance, direction
     d = places(rollout, robot) - point
     z, rho = d @ AXIS, np.linalg.norm(d if ball else np.cross(d, AXIS), axis=1)
     assert task.unit == unit and task.progress(rollout.q[-1]) == pytest.approx(distance, abs=2e-3 if pitch else 1e-3)
-    assert np.ptp(rho) < 1e-4 and (hand is None or pitch or np.ptp(z) < 1e-4)
+    assert np.ptp(rho) < 1e-4 and (hand == "several ways" or pitch or np.ptp(z) < 1e-4)
     if unit == "m":
         assert z[-1] - z[0] == pytest.approx(distance, abs=1e-3)
-    if hand is not None:
+    if hand != "several ways":
         end, turn = robot.pose(rollout.q[-1], TIP), rotation_matrix(distance * AXIS)
         there = turn @ -np.array(off) + pitch * distance * AXIS
         assert z[-1] - z[0] == pytest.approx(pitch * distance, abs=1e-4)
         assert_allclose(d[-1], there, rtol=0, atol=2e-4)
-        if hand:
+        if hand != "any":
             kept = (turn if hand == "carried" else np.eye(3)) @ start[:3, :3]
             assert_allclose(end[:3, :3], kept, rtol=0, atol=1e-3)
 

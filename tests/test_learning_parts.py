@@ -4,10 +4,12 @@ world holds are found, and nothing else is called certain.
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from conftest import table as table_of
 from generated_motions import arm_features, guided_motions, oblique, random_posture, smooth_drive
 from numpy.testing import assert_allclose
 from task_sets import moving
@@ -132,40 +134,21 @@ def test_its_own_tests_decide_on_an_answer(gap: float, strengths: tuple[float, .
 LINE = ml.Mechanism("line", axis=np.array([0.8, 0.6, 0.0]), uncertainty={"axis": 0.3})
 KNOWN = {"axis": 0.004, "point": 7e-5}
 HINGE = ml.Mechanism("hinge", np.eye(3)[2], np.array([0.4, 0.1, 0.0]), 0.3, orientation="carried", uncertainty=KNOWN)
-HAND = ml.load_robot("sawyer"), "right_gripper_tip"
-WORLD = ml.FrameJacobian(*HAND)
 SENSORS = ml.CustomFeatures(lambda q: np.eye(3), ("a", "b", "c"), 3)
-ACROSS = np.array([[-0.6, 0.8, 0.0], [0.0, 0.0, 1.0]])
 
 
-@pytest.mark.parametrize(
-    ("features", "held", "imposed", "angle", "mechanism", "words"),
-    [
-        (WORLD, ACROSS, False, 0.00084, LINE,
-         "The tip can move along (0.80, 0.60, 0.00) and is blocked across it. It looks like a straight line "
-         "(a drawer). Direction known to 0.0008 degrees."),
-        (WORLD, ACROSS[:1], False, 2.0, LINE,
-         "The tip can move along (0.80, 0.60, 0.00) and z and is blocked along (-0.60, 0.80, 0.00). The path alone "
-         "looks like a straight line (a drawer), along (0.80, 0.60, 0.00). "
-         "Direction known to 2 degrees and axis to 0.3 degrees."),
-        (WORLD, np.eye(3), False, None, None, "The tip cannot move."),
-        (ml.FrameJacobian(*HAND, "x y rz"), np.eye(3)[:2], True, 3e-6, None,
-         "The tip is steered on purpose along x and y; it can turn about z. "
-         "Direction known to better than 0.0001 degrees."),
-        (ml.MechanismRows(*HAND, "radial axial"), np.eye(2), False, None, HINGE,
-         "The tip can move on a circle of radius 0.300 m about the axis (0.00, 0.00, 1.00) through (0.40, 0.10, 0.00) "
-         "and cannot leave it. It looks like a hinge (a door); the hand turns with it. "
-         "Axis known to 0.004 degrees and place to 0.07 mm."),
-        (SENSORS, ACROSS, False, 0.5, None,
-         "The motion is free along (0.80, 0.60, 0.00) in (a, b, c) and blocked in every other way. "
-         "Direction known to 0.5 degrees."),
-    ],
-)  # fmt: skip
-def test_the_first_sentence(features, held, imposed, angle, mechanism, words):
+@pytest.mark.parametrize(("what", "held", "kind", "angle", "path", "words"), table_of("first_sentences.txt"))
+def test_the_first_sentence(sawyer, what, held, kind, angle, path, words):
     """What can move, what is blocked, what it looks like, how sure: each said once, for every kind of rows."""
-    kind = "self-imposed" if imposed else "motion-constrained"
-    used = np.ones(features.n_rows, dtype=bool)
-    assert describe(kind, free_directions(held, used), features, used, angle, mechanism) == words
+    features = {
+        "world": arm_features(),
+        "x y rz": arm_features("x y rz"),
+        "radial axial": ml.MechanismRows(sawyer, "right_gripper_tip", "radial axial"),
+        "sensors": SENSORS,
+    }[what]
+    used, mechanism = np.ones(features.n_rows, dtype=bool), {"line": LINE, "hinge": HINGE}.get(path)
+    free = free_directions(np.array(json.loads(held)), used)
+    assert describe(kind, free, features, used, json.loads(angle), mechanism) == words
 
 
 # ---- the recombination test ---------------------------------------------------------------------------------------

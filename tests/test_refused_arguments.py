@@ -6,17 +6,15 @@ import builtins
 import json
 from collections.abc import Callable
 from functools import partial
-from pathlib import Path
 
 import numpy as np
 import pytest
+from conftest import table
 
 import manip_learn as ml
 from manip_learn import errors
 from manip_learn.constraint.features.mechanism_rows import PlaceRows
 
-TABLE = (Path(__file__).parent / "data" / "refused_arguments.txt").read_text(encoding="utf-8").splitlines()
-ROWS = [[cell.strip() for cell in line.split("|", 3)] for line in TABLE[1:]]
 TCP, READY = "panda_hand_tcp", [0.0, -0.3, 0.0, -2.0, 0.0, 1.8, 0.7]
 
 
@@ -73,7 +71,7 @@ def calls(robot_of) -> dict[str, Callable[..., object]]:
     }
 
 
-@pytest.mark.parametrize(("what", "arguments", "error", "words"), ROWS)
+@pytest.mark.parametrize(("what", "arguments", "error", "words"), table("refused_arguments.txt"))
 def test_what_cannot_be_meant_is_refused(what, arguments, error, words, calls):
     """With an error that names the argument and what was given, or what would fit; at the edge it is not (-)."""
     if error == "-":
