@@ -32,6 +32,7 @@ TYPED = [
     ("export sawyer sawyer_drawer --out a --to hdf5", "output", "--to must be one of"),
     ("export sawyer sawyer_drawer --out a.csv", "output", "name a folder"),
     ("learn sawyer sawyer_drawer --frame right_griper_tip", "unknown-name", "right_gripper_tip"),
+    ("learn baxter sawyer_drawer", "frame", "--frame left_gripper; likely tips: left_gripper (0.271 m from its last"),
     (f"{LEARN} --axes 'x w'", "features", ""),
     ("learn planar3 planar3_reach --axes xyzz", "features", "use 'xyz', 'pose', 'planar', 'rotation'"),
     ("learn planar3 planar3_reach --frame tool0", "unknown-name", "likely tips: tip"),
