@@ -7,8 +7,7 @@ import math
 
 import numpy as np
 import pytest
-from case import case
-from conftest import table
+from case import case, rows_in
 from generated_motions import arm_features, guided_motions, oblique
 from numpy.testing import assert_allclose, assert_array_equal
 from rounding import rounding
@@ -128,7 +127,7 @@ def test_damaged_and_contradicting_files_are_refused(robot_of, features, tmp_pat
 
     text = ml.Constraint(ROWS, features, {"postures": [[0.0] * 7]}).save(path).read_text()
     good = json.loads(text)
-    for key, written, words in table("contradicting_constraint_files.txt"):
+    for key, written, words in rows_in("contradicting_constraint_files.txt"):
         value = json.loads(written)
         refused(good | {key: good[key] | value if isinstance(value, dict) else value}, words)
     for key in ("format", "schema", "robot", "features", "selection"):

@@ -11,8 +11,7 @@ from itertools import product
 
 import numpy as np
 import pytest
-from case import case
-from conftest import table
+from case import case, rows_in
 from numpy.testing import assert_allclose, assert_array_equal
 from rounding import rounding
 from scipy.spatial.transform import Rotation
@@ -30,7 +29,7 @@ AXIS, POINT = np.array([0.36, -0.48, 0.8]), np.array([0.5, 0.1, 0.3])
 ACROSS = np.array([[0.8, 0.6, 0.0], [-0.48, 0.64, 0.6]])
 
 
-@pytest.mark.parametrize(("axes", "selection", "kind", "axis", "orientation"), table("mechanisms_of_rows.txt"))
+@pytest.mark.parametrize(("axes", "selection", "kind", "axis", "orientation"), rows_in("mechanisms_of_rows.txt"))
 def test_constant_rows_of_the_base(robot_of, axes, selection, kind, axis, orientation) -> None:
     """Lines, planes and held orientations, in whatever basis the rows come; a row that mixes m and rad is none."""
     rows, axis = np.array(json.loads(selection)), json.loads(axis)

@@ -6,7 +6,7 @@ import json
 
 import numpy as np
 import pytest
-from conftest import table
+from case import rows_in
 from numpy.testing import assert_allclose
 from test_gradients import RobotOf
 
@@ -52,7 +52,7 @@ def test_a_held_pose_along_an_oblique_line(robot_of: RobotOf, view: str, distanc
 
 
 @pytest.mark.parametrize(
-    ("rows", "pitch", "off", "distance", "direction", "unit", "hand"), table("ways_on_mechanisms.txt")
+    ("rows", "pitch", "off", "distance", "direction", "unit", "hand"), rows_in("ways_on_mechanisms.txt")
 )
 def test_on_a_mechanism(robot_of: RobotOf, rows, pitch, off, distance, direction, unit, hand) -> None:
     """A door turns, a screw moves along its axis by the pitch times the angle, in both senses of thread, also beyond

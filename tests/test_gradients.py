@@ -10,8 +10,8 @@ from itertools import product
 
 import numpy as np
 import pytest
-from case import case
-from conftest import TIPS, URDFS, table, tip_of
+from case import case, rows_in
+from conftest import TIPS, URDFS, tip_of
 from numpy.testing import assert_allclose, assert_array_equal
 from rounding import rounding
 
@@ -204,7 +204,7 @@ def test_singular_is_zero_never_nan(robot_of: RobotOf, rng: np.random.Generator)
     assert mu == 0.0 and not gradient.any()
 
 
-@pytest.mark.parametrize(("which", "name", "axes", "selection", "positions"), table("singular_postures.txt"))
+@pytest.mark.parametrize(("which", "name", "axes", "selection", "positions"), rows_in("singular_postures.txt"))
 def test_singularities(robot_of: RobotOf, rng: np.random.Generator, which, name, axes, selection, positions):
     """At an exact singularity grad mu has the direction and the rate of the cone's steepest ascent: mu rises along it
     at the rate claimed, either way, and faster than along 200 directions at random, its largest entry being positive.

@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from conftest import table as table_of
+from case import rows_in
 from generated_motions import arm_features, guided_motions, oblique, random_posture, smooth_drive
 from numpy.testing import assert_allclose
 from task_sets import moving
@@ -110,7 +110,7 @@ def test_columns_of_the_fit_are_derivatives():
     assert n_errors == nv + 6 * len(moved.view.features.robot.joint_names)  # of each link behind the first, and the tip
 
 
-@pytest.mark.parametrize(("gap", "strengths", "says", "clear"), table_of("verdicts.txt"))
+@pytest.mark.parametrize(("gap", "strengths", "says", "clear"), rows_in("verdicts.txt"))
 def test_its_own_tests_decide_on_an_answer(gap: str, strengths: str, says: str, clear: str):
     """Fewer rows by recombination, or a gap thrice as large at another number, speak against it; clear needs both."""
     view, strength, p = held(4), np.array(json.loads(strengths)), np.full(2, 0.005)
@@ -126,7 +126,7 @@ HINGE = ml.Mechanism("hinge", np.eye(3)[2], np.array([0.4, 0.1, 0.0]), 0.3, orie
 SENSORS = ml.CustomFeatures(lambda q: np.eye(3), ("a", "b", "c"), 3)
 
 
-@pytest.mark.parametrize(("what", "held", "kind", "angle", "path", "words"), table_of("first_sentences.txt"))
+@pytest.mark.parametrize(("what", "held", "kind", "angle", "path", "words"), rows_in("first_sentences.txt"))
 def test_the_first_sentence(sawyer, what, held, kind, angle, path, words):
     """What can move, what is blocked, what it looks like, how sure: each said once, for every kind of rows."""
     features = {

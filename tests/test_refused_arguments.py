@@ -9,7 +9,7 @@ from functools import partial
 
 import numpy as np
 import pytest
-from conftest import table
+from case import rows_in
 
 import manip_learn as ml
 from manip_learn import errors
@@ -71,7 +71,7 @@ def calls(robot_of) -> dict[str, Callable[..., object]]:
     }
 
 
-@pytest.mark.parametrize(("what", "arguments", "error", "words"), table("refused_arguments.txt"))
+@pytest.mark.parametrize(("what", "arguments", "error", "words"), rows_in("refused_arguments.txt"))
 def test_what_cannot_be_meant_is_refused(what, arguments, error, words, calls):
     """With an error that names the argument and what was given, or what would fit; at the edge it is not (-)."""
     if error == "-":

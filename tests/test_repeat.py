@@ -116,18 +116,21 @@ def test_a_gripper_closes_at_the_handle_and_opens_at_the_end_of_the_way(by, tmp_
     _, tip, demos, (thing,), _ = out_and_back(("drawer",), "panda", 70000)
     robot, guided = ml.load_robot("panda"), []
     assert robot.joint_names[-1] == "panda_finger_joint1"
-    for demo in demos:
+    for number, demo in enumerate(demos):
         at = [np.linalg.norm(robot.position([*q, 0.0], tip) - thing.handle) < 2e-3 for q in demo.q]
         first, last = np.flatnonzero(at)[[0, -1]]
         holds = (np.arange(len(at)) >= first) & (np.arange(len(at)) <= last)
         finger = np.where(holds, 0.012, 0.038) if by == "position" else np.full(len(at), 0.02)
+        finger += 0.002 * (number == 0)  # another handle, once
         finger = np.convolve(np.pad(finger, 15, mode="edge"), np.ones(31) / 31, "valid")  # a third of a second
-        effort = np.column_stack([np.zeros((len(at), 7)), np.where(holds, 20.0, 0.5)]) if by == "effort" else None
+        effort = np.column_stack([np.zeros((len(at), 7)), np.where(holds, 20.0, 9.5)]) if by == "effort" else None
         q = np.column_stack([demo.q, finger])
         guided.append(ml.Trajectory(demo.time, q, None, robot.joint_names, effort=effort))
     skill = ml.ConstraintLearner(ml.FrameJacobian(robot, tip, "xyz")).fit(guided).skill_
     skill = ml.Skill.load(skill.save(tmp_path / "task.json"), robot)
     assert [step.gripper for step in skill.steps] == [None, "close", "open"]
+    told = [step.fingers["panda_finger_joint1"] for step in skill.steps[1:]]
+    assert_allclose(told, [0.012, 0.038] if by == "position" else 0.02, atol=1e-5)
     start = guided[0].q[0]
     again = ml.repeat(skill, start)
     phases, rollout = {name: (a, b) for name, a, b in again.rollout.phases}, again.rollout

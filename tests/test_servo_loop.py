@@ -334,6 +334,41 @@ def test_distances_mean_forces(force, trips, robot):
     np.testing.assert_allclose(following.distance, away, atol=1e-12)
 
 
+@pytest.mark.parametrize(
+    ("force", "lacking", "free", "said"),
+    [(10, 1.0, 0.7, "24 N along .*, which moved with 9 N and has stopped"), (10, 0.81, 0.7, "has stopped"),
+     (10, 0.79, 0.7, "60 N along .*, of 60 allowed"), (10, 1.24, 0.7, "has stopped"), (10, 1.3, 0.7, "60 N along"),
+     (0, 1.0, 0.5, "15 N along .*, which moved with 0 N and has stopped")],
+)  # fmt: skip
+def test_a_jam_is_noticed_before_the_force_is_large(force, lacking, free, said, robot):
+    """A hand that moved and stands still, to a fifth of its way, stops at the force of the motion and 15 N more."""
+    q, tip, now, speed = start_of(robot), default_tip(robot), 0.0, 0.05
+    following = FollowingError(robot, Contact(stiffness=STIFFNESS), DT, np.full(7, 10.0), tip)
+    for k in range(2500):
+        J, pulls = robot.jacobian(q, tip)[:3], free + 0.8 * bool(force)
+        u = speed * np.linalg.pinv(J)[:, 0]
+        following.record_step(q, DT, u)
+        q = robot.integrate(q, DT * u)
+        stiffness = STIFFNESS / float(J[0] @ J[0])  # of the hand along x
+        now = now + lacking * speed * DT * stiffness if k * DT >= pulls else force * np.clip(5 * (k * DT - free), 0, 1)
+        following.compare(q, q - J[0] * now / STIFFNESS, lambda _q, u=u: u[None])
+        if following.tripped:
+            break
+    assert re.search(said, following.tripped), following.tripped
+
+
+def test_an_arm_that_does_not_begin_to_move_is_stopped(robot):
+    """As soon as it is 16 times as far off as the largest force brings a joint, whatever its delay may be."""
+    at = q = start_of(robot)
+    following = FollowingError(robot, Contact(stiffness=STIFFNESS), DT, np.full(7, 10.0), default_tip(robot))
+    while not following.tripped:
+        following.record_step(q, DT, np.eye(7)[1])
+        q = robot.integrate(q, DT * np.eye(7)[1])
+        following.compare(q, at)
+    assert following.tripped.startswith("the arm has not begun to move")
+    assert np.max(np.abs(following.distance) / following.limit) == pytest.approx(16.1, abs=0.1)
+
+
 def test_a_payload_that_is_told_is_no_push(robot):
     """The weight of 5 kg trips the loop of an arm that is not told; inertia and weight include a payload."""
     q, tip, centre = start_of(robot), default_tip(robot), [0.0, 0.0, 0.05]
