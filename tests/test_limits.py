@@ -11,6 +11,7 @@ from servo_cases import Arm, Constantly
 
 import manip_learn as ml
 from manip_learn.control.barriers import approach_bound
+from manip_learn.control.limits import farthest_positions
 from manip_learn.errors import ConfigurationError, ManipLearnError
 
 TIP, SPEED, DT = "right_gripper_tip", 0.25, 0.002
@@ -89,6 +90,21 @@ def test_a_singularity_is_approached_so_slowly_that_the_arm_can_stop():
     # a long step leaves less: half of the distance in each
     assert approach_bound(1e-3, slope, acceleration, 0.1) == pytest.approx(5.0 * 5e-4 + 5.0 * 1e-3)
     assert approach_bound(0.1, np.zeros(3), acceleration, 1e-3) == np.inf
+
+
+def test_when_a_bound_is_looked_at_and_where_there_is_room(sawyer, robot_of):
+    """Motions that may be too fast for a singularity; the sense with 0.1 rad of room; what no encoder can say."""
+    limits = ml.Limits(sawyer, acceleration=5.0)
+    for sigma, dt, least in ((0.002, 1e-3, (20.0 * 0.002) ** 2), (0.002, 0.1, (5.0 * 0.002) ** 2), (1.0, 1e-3, 5.0)):
+        assert [limits.may_approach(x * least, 1.0, sigma, dt) for x in (0.999, 1.001)] == [False, True]
+    for side, end in ((1.0, sawyer.position_upper[1]), (-1.0, sawyer.position_lower[1])):
+        way = 2.0 * side * np.eye(7)[1]
+        for room, kept in ((0.101, 1.0), (0.099, -1.0)):
+            np.testing.assert_array_equal(limits.freer_sense((end - side * room) * np.eye(7)[1], way), kept * way)
+    np.testing.assert_allclose(
+        farthest_positions(sawyer) - 2.0 * np.pi, np.abs([sawyer.position_lower, sawyer.position_upper]).max(axis=0)
+    )
+    assert farthest_positions(robot_of("kinova")) == 1e6
 
 
 # ---- frames ----

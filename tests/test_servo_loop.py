@@ -10,7 +10,7 @@ import pytest
 from servo_cases import BAD_TIMES, DT, OLD, ROUNDING, SAME, Arm, Constantly, bad_postures, command_of, law_of, start_of
 
 import manip_learn as ml
-from manip_learn.control.contact import STIFFNESS, Contact, FollowingError
+from manip_learn.control.contact import STIFFNESS, Contact, FollowingError, other_turns
 from manip_learn.errors import ManipLearnError
 from manip_learn.robot.tips import default_tip
 
@@ -236,10 +236,10 @@ def test_a_motion_waits_while_the_arm_stands(robot):
 # ---- an arm that is not where it was sent ----
 
 
-def tripped(robot):
+def tripped(robot, **limits):
     """An arm that is blocked where it starts, and the command of the period in which the loop finds out."""
-    contact = ml.Contact(latency=0.01, stiffness=2000.0)
-    arm = Arm(ml.ServoLoop(law_of(robot, "sawyer", 3.0), contact=contact), start_of(robot))
+    contact, limits = ml.Contact(latency=0.01, stiffness=2000.0), ml.Limits(robot, **limits)
+    arm = Arm(ml.ServoLoop(law_of(robot, "sawyer", 3.0, limits=limits), contact=contact), start_of(robot))
     command = next(c for c in (arm.call(start_of(robot)) for _ in range(2000)) if c.status is FOLLOWING_ERROR)
     return arm, command
 
@@ -262,9 +262,12 @@ def test_a_following_error_trips_until_reset(robot):
     assert max(np.linalg.norm(command.velocity) for command in Arm(loop, q).calls(800)) > 0.05
 
 
-def test_reset_after_a_trip_ramps_back(robot):
-    """`position` goes back to where the arm is within velocity and acceleration limits, also if `reset` comes twice."""
-    (arm, _), q = tripped(robot), start_of(robot)
+@pytest.mark.parametrize("slow", [{}, {"velocity": 0.05, "acceleration": 1.0}])
+def test_reset_after_a_trip_ramps_back(slow, robot):
+    """`position` goes back to where the arm is as fast as velocity and acceleration limits allow, also if `reset` comes
+    twice.
+    """
+    (arm, _), q = tripped(robot, **slow), start_of(robot)
     arm.calls(300, q)
     loop, places, q = arm.loop, [arm.loop.position], q + 0.02  # somebody has pushed the arm away
     loop.reset()
@@ -279,8 +282,12 @@ def test_reset_after_a_trip_ramps_back(robot):
         assert np.all(command.velocity == 0.0)
     np.testing.assert_allclose(places[-2], q, rtol=0, atol=1e-5)
     speeds = np.diff([places[0], *places[:-1]], axis=0) / DT
-    assert 20 < i < 590 and np.all(np.abs(speeds) <= robot.velocity_limit * ROUNDING)
-    assert np.all(np.abs(np.diff(speeds, axis=0)) <= loop.acceleration_limit * DT * (1.0 + 1e-6))
+    assert 20 < i < 590 and np.all(np.abs(speeds) <= loop.limits.velocity * ROUNDING)
+    assert not slow or np.max(np.abs(speeds)) == pytest.approx(0.05, rel=1e-9)
+    changes = np.abs(np.diff(speeds, axis=0)) / (loop.acceleration_limit * DT)
+    assert (
+        np.max(changes[:-4]) <= 1.0 + 1e-6 and np.max(changes) <= (1.5 if slow else 1.0) + 1e-6
+    )  # half a step is left
 
 
 @pytest.mark.parametrize(("jump", "is_refused"), [(0.045, False), (-0.045, False), (0.06, True), (-0.06, True)])
@@ -304,6 +311,8 @@ def test_wrong_units_are_named(robot):
     assert arm.call(arm.q + 2.0 * np.pi * np.eye(7)[5]).status is INVALID
     assert f"joint {robot.joint_names[5]} reads +6.28 rad" in arm.loop.stopped_by
     assert "1 full turn: the driver counts" in arm.loop.stopped_by
+    assert [bool(other_turns(2.0 * np.pi + x, "rad")) for x in (0.09, -0.09, 0.11)] == [True, True, False]
+    assert "2 full turns" in other_turns(-4.0 * np.pi, "rad") and other_turns(2.0 * np.pi, "m") == ""
     assert arm.call().status not in (INVALID, FOLLOWING_ERROR)
 
 
@@ -367,6 +376,20 @@ def test_an_arm_that_does_not_begin_to_move_is_stopped(robot):
         following.compare(q, at)
     assert following.tripped.startswith("the arm has not begun to move")
     assert np.max(np.abs(following.distance) / following.limit) == pytest.approx(16.1, abs=0.1)
+
+
+@pytest.mark.parametrize(("share", "trips"), [(0.98, False), (1.02, True)])
+def test_a_load_that_no_force_on_the_hand_explains(share, trips, robot):
+    """A contact elsewhere on the arm: as much on a joint as 15 N on its longest lever; the joint is named."""
+    q, tip = start_of(robot), default_tip(robot)
+    following = FollowingError(robot, Contact(stiffness=STIFFNESS), DT, np.full(7, 10.0), tip)
+    away = np.linalg.svd(robot.jacobian(q, tip)[:3])[2][-1]
+    away *= share / np.max(np.abs(away) / following.limit)
+    for _ in range(40):
+        following.compare(q, q + away)
+    j = int(np.argmax(np.abs(away) / following.limit))
+    said = f"joint {robot.joint_names[j]} carries {abs(away[j]) * STIFFNESS:.0f} N m that no force on the hand explains"
+    assert following.tripped.startswith(said) if trips else following.tripped == ""
 
 
 def test_a_payload_that_is_told_is_no_push(robot):
