@@ -11,9 +11,9 @@ from case import case, rows_in
 from generated_motions import arm_features, guided_motions, oblique
 from numpy.testing import assert_allclose, assert_array_equal
 from rounding import rounding
+from test_gradients import feature_maps
 
 import manip_learn as ml
-from manip_learn.constraint.features.mechanism_rows import PlaceRows
 from manip_learn.errors import ConstraintError, ConstraintMismatchError, FeatureError, advice_for_command
 
 
@@ -55,18 +55,8 @@ def test_files_come_back(robot_of, rng, tmp_path):
     """Every kind of features goes through a file: the same A to the last bit, and how it was learnt. The user's own
     functions, and numbers that are none, cannot be saved and leave no file.
     """
-    robot, place = robot_of("wrist"), {"axis": (0.3, -0.5, 0.8), "point": (0.4, 0.2, 0)}
-    frame, mass = ml.FrameJacobian(robot, "tip", "x rz", "local"), ml.CentreOfMass(robot, "z y")
-    for features in (
-        frame,
-        mass,
-        ml.Stacked([frame, mass]),
-        ml.RelativeFrameJacobian(robot, "tip", "joint0", "y rx"),
-        ml.CurveRows(robot, "tip", np.random.default_rng(0).normal(size=(5, 3)), ("across-1", "along", "rz")),
-        *(ml.MechanismRows(robot, "tip", "radial axial turn", **place, radius=radius) for radius in (None, 0.25)),
-        ml.MechanismRows(robot, "tip", "helical slide-1 screw", **place, pitch=0.07),
-        *(PlaceRows(robot, "tip", form, (0.1, 0.2, 0.5)) for form in ("point", "twist", "surface")),
-    ):
+    robot = robot_of("wrist")
+    for features in feature_maps(robot, "tip", robot.random_configuration(rng)):
         selection, learnt = rng.standard_normal((2, features.n_rows)), {"estimator": "joint", "gap": 9.5}
         constraint = ml.Constraint(selection, features, learnt)
         loaded = ml.Constraint.load(constraint.save(tmp_path / "c.json"), robot)

@@ -198,8 +198,7 @@ def distance(pairs, q) -> float:
 )  # fmt: skip
 def test_nothing_comes_nearer_than_the_clearance(name, kind, dt, acceleration, robot_of):
     """A task that leads through a thing: no pair is nearer than the clearance, at any step, and the arm moved."""
-    robot = ml.load_robot("panda", locked=("panda_finger_joint1",)) if name == "panda" else robot_of(name)
-    tip, q, way = STARTS[name]
+    robot, (tip, q, way) = robot_of(name), STARTS[name]
     place = robot.position(q, tip)
     obstacles = standing(kind, place + 0.5 * np.array(way)).obstacles(robot)
     shapes = "visual" if name == "planar3" else "collision"
