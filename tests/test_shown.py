@@ -13,7 +13,7 @@ from numpy.testing import assert_allclose
 from task_sets import arm, out_and_back
 
 import manip_learn as ml
-from manip_learn.constraint.shown import Intention
+from manip_learn.constraint.shown import Intention, demonstrated_motion
 from manip_learn.control.simulation import simulate_way
 from manip_learn.errors import ConstraintError, TargetError
 
@@ -67,6 +67,30 @@ def test_what_was_shown_is_what_people_did_and_is_done_again(kind, name):
         pose[:3, 3] = thing.handle
         end = thing.carry(pose, np.array([[far]])).position[0]
         assert np.linalg.norm(places[-1] - end) < 0.03 * far * 0.5 + 3e-3
+
+
+def test_numbers_of_what_was_shown(robot_of):
+    """Median, spread and pace without the rest before; one place to 3 mm, back to a tenth, one way if most went it."""
+    features = ml.FrameJacobian(robot_of("gantry"), "tip")
+
+    def shown(*strokes: tuple[float, float, float]) -> ml.Shown:
+        """Of strokes that begin beside, go so far in a second after a rest, and so near again [m]."""
+        contacts = []
+        for beside, far, end in strokes:
+            way = np.concatenate([np.zeros(50), np.linspace(0.0, far, 101), np.linspace(far, end, 51)[1:]])
+            q = np.outer(beside + way, np.eye(5)[0])
+            contacts.append(ml.Trajectory(0.01 * np.arange(len(q)), q))
+        made = demonstrated_motion(features, np.eye(3)[1:], None, contacts)
+        assert made is not None
+        return made
+
+    one = shown((0.0, 0.2, 0.0), (0.0, 0.2, 0.0), (0.0029, 0.3, 0.0))
+    assert_allclose([one.extent, one.least, one.most, one.spread, one.span], [0.2, 0.2, 0.3, np.sqrt(0.02) / 3, 0.3029])
+    assert_allclose([one.speed, one.seconds, one.scatter], [0.2, 1.0, 0.0029], rtol=1e-6)
+    assert one.hold is not None and one.unit == "m" and one.n == 3
+    assert shown((0.0, 0.2, 0.0), (0.0, 0.2, 0.0), (0.0031, 0.2, 0.0)).hold is None
+    assert [shown((0.0, 0.2, end)).back for end in (0.019, 0.021)] == [True, False]
+    assert [shown(*3 * [(0.0, 0.1, 0.0)], (0.0, far, 0.0)).one_way for far in (-0.0999, -0.1001)] == [True, False]
 
 
 def test_positive_is_the_way_shown():
