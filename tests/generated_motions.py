@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import partial
 
 import numpy as np
 from scipy.integrate import solve_ivp
@@ -12,17 +11,11 @@ import manip_learn as ml
 from manip_learn.experiments.paper_setup import AXES, Setup, demonstrate, planar_features
 
 PLANAR_ROWS = {"xy": [0, 1], "x-theta": [0, 2], "y-theta": [1, 2]}
-made = partial(ml.Trajectory, exact=True)  # velocities are those that made the positions
 
 
 def arm_features(axes: str = "xyz", reference: str = "world") -> ml.FrameJacobian:
     """Rows of the Sawyer-like arm's tip."""
     return ml.FrameJacobian(ml.load_robot("sawyer"), "right_gripper_tip", axes, reference)
-
-
-def with_noise(u: np.ndarray, share: float, rng: np.random.Generator) -> np.ndarray:
-    """u with Gaussian noise of a share of its root mean square."""
-    return u + share * np.sqrt(np.mean(u**2)) * rng.standard_normal(u.shape)
 
 
 def paper_motions(
@@ -73,7 +66,8 @@ def guided_motions(
 
         q = solve_ivp(velocity, time[[0, -1]], random_posture(robot, rng), "DOP853", time, rtol=1e-9, atol=1e-10).y.T
         u = np.array([velocity(*at) for at in zip(time, q, strict=True)])
-        trajectories.append(made(time, q, with_noise(u, noise, rng), robot.joint_names, f"motion {k}"))
+        u = u + noise * np.sqrt(np.mean(u**2)) * rng.standard_normal(u.shape)
+        trajectories.append(ml.Trajectory(time, q, u, robot.joint_names, f"motion {k}", exact=True))
     return ml.Demonstrations(trajectories), truth
 
 

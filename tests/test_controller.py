@@ -37,8 +37,9 @@ def test_arguments_in_another_order(sawyer):
 
 @pytest.mark.parametrize(
     ("elbow", "word"),
-    [(1.0, "ok"), (0.3, "ok"), (0.05, "damped"), (0.02, "damped"), (1e-4, "stalled"), (0.0, "singular")],
-)
+    [(1.0, "ok"), (0.3, "ok"), (0.02, "damped"), (0.012, "damped"), (0.0115, "stalled"), (1e-4, "stalled"),
+     (0.0, "singular")],
+)  # fmt: skip
 def test_damping_only_below_the_threshold(elbow, word, planar):
     """Above the threshold the task is followed exactly; below it is damped, then stalls, and at zero it is singular."""
     q, task = np.array([0.2, elbow, 0.0]), ml.Track(lambda t: [0.0, 0.0], gain=1e-2)
@@ -48,6 +49,7 @@ def test_damping_only_below_the_threshold(elbow, word, planar):
     sigma, known = values[-1], rounding(4 * 2 * 3, A)  # of a singular value
     followed = np.allclose(A @ command.velocity, command.task_velocity, rtol=1e-10, atol=0)
     assert followed == (sigma >= controller.threshold) and command.status == word
+    assert word == "singular" or (word == "stalled") == (command.progress < 0.02)
     assert command.smallest_singular_value == pytest.approx(sigma, rel=1e-9, abs=known)
     # A^T (A A^T + lambda^2)^-1 b, lambda = damping (1 - (sigma / threshold)^2) of the smallest singular value
     factor = 0.05 * max(0.0, 1.0 - (sigma / 0.05) ** 2)

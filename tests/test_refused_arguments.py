@@ -28,12 +28,6 @@ def calls(robot_of) -> dict[str, Callable[..., object]]:
     rail = ml.Constraint(np.eye(2, 3), ml.CurveRows(panda, TCP, np.eye(4, 3)))
     way = ml.Skill((line,), (ml.Step("way", line),))
 
-    def call(q: object = (1.0, 1.0, 1.0), dt: float | None = None) -> object:
-        return law(q, 0.0, dt)
-
-    def simulate(q0: object = (1.0, 1.0, 1.0), **settings) -> object:
-        return ml.simulate(planar, law, q0, **settings)
-
     def along_rows(rows: str, selection: object = None, direction: object = None) -> object:
         features = (ml.FrameJacobian if rows[0] == "x" else ml.MechanismRows)(panda, TCP, rows)
         held = ml.Constraint(np.eye(features.n_rows) if selection is None else selection, features)
@@ -49,8 +43,8 @@ def calls(robot_of) -> dict[str, Callable[..., object]]:
         "Limits above a floor": partial(ml.Limits, sawyer, clear_of=ml.Scene(floor=-1.0)),
         "ConstraintLearner": lambda **settings: ml.ConstraintLearner(**({"features": tip} | settings)),
         "ResolvedRateController": partial(ml.ResolvedRateController, two),
-        "call of a controller": call,
-        "simulate": simulate,
+        "call of a controller": lambda q=np.ones(3), dt=None: law(q, 0.0, dt),
+        "simulate": lambda q0=np.ones(3), **settings: ml.simulate(planar, law, q0, **settings),
         "repeat": partial(ml.repeat, way, READY),
         "FreeDirection": lambda **settings: ml.FreeDirection(line, **({"distance": 0.1, "speed": 0.1} | settings)),
         "FreeDirection of rows": along_rows,

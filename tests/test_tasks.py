@@ -13,7 +13,6 @@ from case import case
 from numpy.testing import assert_allclose, assert_array_equal
 
 import manip_learn as ml
-from manip_learn.control.policies import GROWTH
 from manip_learn.errors import ConfigurationError, FeatureError, TargetError
 
 
@@ -94,19 +93,22 @@ def test_joint_attractor_goes_the_short_way(robot_of):
             call()
 
 
-def test_ascent_is_the_gradient(constraint, rng):
+def test_ascent_is_the_gradient(constraint, planar3, rng):
     """gain grad mu as the paper prints it, or along the gradient g of log mu: gain |g| at most, and
-    max_speed / sqrt(1 + (dt max_speed |g| / GROWTH)^2).
+    max_speed / sqrt(1 + (dt max_speed |g| / 1.25)^2); 5e-4 rad/s at a singularity; the gain is 3 by default.
     """
+    stretched = ml.ManipulabilityAscent(ml.Constraint(np.eye(2), ml.FrameJacobian(planar3, "tip", "x y")))
+    assert np.linalg.norm(stretched(np.zeros(3))) == pytest.approx(5e-4, rel=1e-9)
     for q in 0.5 * rng.standard_normal((5, 7)):
         log, raw = (ml.ManipulabilityAscent(constraint, 0.7, logarithmic=x) for x in (True, False))
         slope = ml.log_manipulability_gradient(constraint, q)
         assert_allclose(log(q), 0.7 * slope, rtol=1e-9, atol=1e-12)
         assert_allclose(raw(q), 0.7 * ml.manipulability_gradient(constraint, q), rtol=1e-9, atol=1e-12)
         slope = ml.ManipulabilityAscent(constraint, 1.0, max_speed=None)(q)
+        assert_allclose(ml.ManipulabilityAscent(constraint, max_speed=None)(q), 3.0 * slope, rtol=1e-12)
         size = float(np.linalg.norm(slope))
         for gain, speed, dt in product((0.5, 3.0), (0.1, 1.0, 10.0, None), (0.001, 0.05, 2.0)):
-            longest = np.inf if speed is None else speed / np.sqrt(1.0 + (dt * speed * size / GROWTH) ** 2)
+            longest = np.inf if speed is None else speed / np.sqrt(1.0 + (dt * speed * size / 1.25) ** 2)
             got = ml.ManipulabilityAscent(constraint, gain, max_speed=speed)(q, 0.0, dt)
             assert_allclose(got, slope / size * min(gain * size, longest), rtol=1e-12)
     with pytest.raises(ConfigurationError):
