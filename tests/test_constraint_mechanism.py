@@ -253,6 +253,8 @@ def test_a_hand_that_cannot_hold_it_there_is_refused():
     knob = ml.Mechanism("hinge", AXIS, POINT, radius=0.0, orientation="carried", grip="firm")
     beside[:3, 3] = POINT + 0.2 * AXIS
     assert knob.at(beside).coordinates(beside) == pytest.approx([0.0])  # its rotation is the angle
+    rods = [ml.Mechanism("other", AXIS, POINT, radius=x, orientation="carried") for x in (4.9e-3, 5.1e-3)]
+    assert [rod.in_fingers for rod in rods] == [True, False]  # nearer than 5 mm it turns about itself
 
 
 # ---- the task frame -----------------------------------------------------------------------------------------------

@@ -65,6 +65,9 @@ def test_what_holds_the_hand_gives_way_last(planar):
     A, sigma = planar(q), np.linalg.svd(planar(q), compute_uv=False)[-1]
     damping = (0.05 * (1.0 - (sigma / 0.05) ** 2)) ** 2 * (0.01 * np.eye(2) + 0.99 * D.T @ D)
     np.testing.assert_allclose(law(q).task_part, A.T @ np.linalg.solve(A @ A.T + damping, b), rtol=1e-9, atol=1e-12)
+    for size, has_arrived in ((0.9e-6, True), (1.1e-6, False)):  # a task that asks for less has all it wants
+        law = ml.ResolvedRateController(planar, Asks(size * D[0]), limits=False, threshold=0.05, damping=0.05)
+        assert (law(q).progress == 1.0) == has_arrived
 
 
 def test_the_words_are_right(robot_of):

@@ -208,10 +208,10 @@ def test_held_rows_are_counted_and_clear():
         assert (empty.n_rows, verdict(empty)) == (0, "none") and "do not move" in empty.sentence()
 
 
-def of_numbers(strengths, lower=None, p_values=None, levels=(0.01, 0.1, 1.0), **options) -> Evidence:
-    """Evidence of five recordings, with numbers of one's own."""
+def of_numbers(strengths, lower=None, p_values=None, levels=(0.01, 0.1, 1.0), recordings=5, **options) -> Evidence:
+    """Evidence with numbers of one's own."""
     p, lower = p_values or (0.005,) * 3, lower or strengths
-    return Evidence(*map(np.array, (strengths, lower, p, levels)), 5, **options)
+    return Evidence(*map(np.array, (strengths, lower, p, levels)), recordings, **options)
 
 
 def test_the_verdict_is_that_of_its_numbers():
@@ -222,6 +222,7 @@ def test_the_verdict_is_that_of_its_numbers():
     found = of_numbers((10.0, 6.0, 0.9))
     assert (found.n_rows, verdict(found), states(found)) == (2, "clear", ["held", "held", "free"])
     assert [row.p_value for row in found.rows] == [0.005] * 3
+    assert [verdict(of_numbers((10.0, 6.0, 0.9), recordings=n)) for n in (2, 3)] == ["weak", "clear"]
     for strengths, lower, options, n_rows in (
         ((10.0, 2.0, 0.9), (9.0, 1.58, 0.8), {}, 1),
         ((1.4, 3.0, 0.9), None, {}, 2),  # the first has the least of what noise there is

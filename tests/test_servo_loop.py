@@ -7,6 +7,7 @@ import re
 
 import numpy as np
 import pytest
+from case import rows_in
 from servo_cases import BAD_TIMES, DT, OLD, ROUNDING, SAME, Arm, Constantly, bad_postures, command_of, law_of, start_of
 
 import manip_learn as ml
@@ -316,42 +317,33 @@ def test_wrong_units_are_named(robot):
     assert arm.call().status not in (INVALID, FOLLOWING_ERROR)
 
 
-@pytest.mark.parametrize(
-    ("force", "trips"),
-    [([14, 0, 0], False), ([58, 0, 0], False), ([62, 0, 0], True), ([0, 14, 0], False), ([0, -16.5, 0], True),
-     ([0, 0, 16.5], True), ([0, 0, -19.6], False), ([0, 0, -19.6 - 17.0], True), ([14, 0, -19.6], False),
-     ([50, 16.5, 0], False), ([50, 27, 0], True)],
-)  # fmt: skip
-def test_distances_mean_forces(force, trips, robot):
+@pytest.mark.parametrize(("force", "stops"), rows_in("forces_on_the_hand.txt"))
+def test_distances_mean_forces(force, stops, robot):
     """Across what is driven, a push of 14 N at the hand is no reason to stop, 16.5 N is; along it 58 N and 62 N.
 
     Beside 50 N along it 16.5 N across are no reason, 27 N are. Down to 2 kg of weight are no push at all. The force
     that is told is the one that explains how far the servos gave way, less what friction and encoders leave.
     """
-    q, tip = start_of(robot), default_tip(robot)
+    q, tip, force = start_of(robot), default_tip(robot), np.array(force.split(), dtype=float)
     J = robot.jacobian(q, tip)[:3]
     along_x = np.linalg.pinv(J)[:, :1].T
     following = FollowingError(robot, Contact(stiffness=STIFFNESS), DT, np.full(7, 10.0), tip)
-    away = J.T @ np.array(force, dtype=float) / STIFFNESS
+    away = J.T @ force / STIFFNESS
     for _ in range(40):
         following.compare(q, q + away, lambda _q: along_x)
-    assert bool(following.tripped) == trips, following.tripped
-    if not trips:
-        pushed = np.array(force) + [0.0, 0.0, min(19.62, max(0.0, -force[2]))]
+    assert bool(following.tripped) == (stops == "yes"), following.tripped
+    if stops == "no":
+        pushed = force + [0.0, 0.0, min(19.62, max(0.0, -force[2]))]
         np.testing.assert_allclose(following.force, pushed, atol=0.6)
         assert following.largest == pytest.approx(np.abs(away).max(), rel=1e-3)
     np.testing.assert_allclose(following.distance, away, atol=1e-12)
 
 
-@pytest.mark.parametrize(
-    ("force", "lacking", "free", "said"),
-    [(10, 1.0, 0.7, "24 N along .*, which moved with 9 N and has stopped"), (10, 0.81, 0.7, "has stopped"),
-     (10, 0.79, 0.7, "60 N along .*, of 60 allowed"), (10, 1.24, 0.7, "has stopped"), (10, 1.3, 0.7, "60 N along"),
-     (0, 1.0, 0.5, "15 N along .*, which moved with 0 N and has stopped")],
-)  # fmt: skip
+@pytest.mark.parametrize(("force", "lacking", "free", "said"), rows_in("jams.txt"))
 def test_a_jam_is_noticed_before_the_force_is_large(force, lacking, free, said, robot):
     """A hand that moved and stands still, to a fifth of its way, stops at the force of the motion and 15 N more."""
     q, tip, now, speed = start_of(robot), default_tip(robot), 0.0, 0.05
+    force, lacking, free = map(float, (force, lacking, free))
     following = FollowingError(robot, Contact(stiffness=STIFFNESS), DT, np.full(7, 10.0), tip)
     for k in range(2500):
         J, pulls = robot.jacobian(q, tip)[:3], free + 0.8 * bool(force)
