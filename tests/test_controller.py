@@ -15,9 +15,10 @@ from manip_learn.errors import ConfigurationError, ConstraintError, TargetError
 from manip_learn.linalg import null_basis
 
 
-@pytest.fixture
-def planar(planar3):
-    """Two rows of an arm in a plane."""
+@pytest.fixture(params=["", "python"])
+def planar(planar3, request, monkeypatch):
+    """Two rows of an arm in a plane, for the compiled law if there is one, and for the law in Python."""
+    monkeypatch.setenv("MANIP_LEARN_ENGINE", request.param)
     return ml.Constraint(np.eye(2), ml.FrameJacobian(planar3, "tip", "x y"))
 
 
