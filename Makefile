@@ -28,7 +28,7 @@ QUICK := $(addprefix tests/test_,$(addsuffix .py,public_api cli controller mjcf 
 # that is not this machine's (`make kernels`: with all of them). A name that this machine's OpenBLAS does not have (as on
 # ARM) is another kernel or its own, with a warning
 NUMERICAL := $(addprefix tests/test_,$(addsuffix .py,closed_loops constraint constraint_mechanism controller \
-	features follow_motion frame_choice free_direction gradients imposed law learning_parts limits linalg \
+	features follow_motion free_direction gradients imposed law learning_parts limits linalg \
 	mechanism motion native_engine pinned_answers cross_check robot tasks uncertainty velocities \
 	witness))
 KERNELS ?= Haswell Zen Prescott Nehalem Sandybridge

@@ -32,80 +32,34 @@ from manip_learn.robot.robot import Robot  # noqa: E402
 
 BROWSER_FLAGS = ["--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-background-networking"]
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
-ROBOTS = Path(__file__).resolve().parents[1] / "robots"
+ARMS = Path(__file__).with_name("arms")
 
 
-def chain_urdf(name: str, joints: list[tuple[str, str, str, str]], extra: str = "") -> str:
-    """URDF of links one after the other; each joint is (type, axis, origin xyz, origin rpy), inertias everywhere."""
-    links = [_link("base")]
-    for i, (kind, axis, xyz, rpy) in enumerate(joints):
-        parent = "base" if i == 0 else f"link{i - 1}"
-        limit = "" if kind == "continuous" else '<limit lower="-2" upper="2" velocity="2" effort="10"/>'
-        links.append(_link(f"link{i}"))
-        links.append(
-            f'<joint name="joint{i}" type="{kind}"><parent link="{parent}"/><child link="link{i}"/>'
-            f'<origin xyz="{xyz}" rpy="{rpy}"/><axis xyz="{axis}"/>{limit}</joint>'
-        )
-    return f'<robot name="{name}">{"".join(links)}{extra}{_tip(len(joints) - 1)}</robot>'
+URDFS = {
+    name: (ARMS / f"{name}.urdf").read_text(encoding="utf-8")
+    for name in ("one", "gantry", "wrist", "humanoid", "rover", "tree", "mimic")
+}
 
 
 def chain_with(folder: Path, joints: list[tuple[str, str, str, str]], shapes: dict[str, str], most: float = 2) -> Robot:
-    """A robot of `chain_urdf` in a folder, with limits of +-`most`, and with elements in links: link -> element."""
-    text = chain_urdf("chain", joints).replace('lower="-2" upper="2"', f'lower="-{most}" upper="{most}"')
-    for link, element in shapes.items():
-        text = text.replace(f'<link name="{link}">', f'<link name="{link}">{element}')
-    (folder / "chain.urdf").write_text(text, encoding="utf-8")
+    """A robot of links one after the other, with limits of +-`most`, and with elements in links: link -> element; each
+    joint is (type, axis, origin xyz, origin rpy), inertias everywhere.
+    """
+    inertia = '<inertia ixx="0.01" ixy="0" ixz="0" iyy="0.02" iyz="0" izz="0.03"/>'
+    inertial = f'<inertial><origin xyz="0.1 0.02 -0.05"/><mass value="1.5"/>{inertia}</inertial>'
+    links = ["base", *(f"link{i}" for i in range(len(joints)))]
+    text = "".join(f'<link name="{link}">{shapes.get(link, "")}{inertial}</link>' for link in links)
+    tip = ("fixed", "1 0 0", "0.3 -0.1 0.2", "0.4 0.3 -0.2")
+    for i, (child, (kind, axis, xyz, rpy)) in enumerate(zip([*links[1:], "tip"], [*joints, tip], strict=True)):
+        text += (
+            f'<joint name="joint{i}" type="{kind}"><parent link="{links[i]}"/><child link="{child}"/>'
+            f'<origin xyz="{xyz}" rpy="{rpy}"/><axis xyz="{axis}"/>'
+            f'<limit lower="-{most}" upper="{most}" velocity="2" effort="10"/></joint>'
+        )
+    (folder / "chain.urdf").write_text(f'<robot name="chain">{text}<link name="tip"/></robot>', encoding="utf-8")
     return load_robot(folder / "chain.urdf")
 
 
-def _link(name: str) -> str:
-    return (
-        f'<link name="{name}"><inertial><origin xyz="0.1 0.02 -0.05"/><mass value="1.5"/>'
-        '<inertia ixx="0.01" ixy="0" ixz="0" iyy="0.02" iyz="0" izz="0.03"/></inertial></link>'
-    )
-
-
-def _tip(last: int) -> str:
-    return (
-        f'<link name="tip"/><joint name="tip_fixed" type="fixed"><parent link="link{last}"/><child link="tip"/>'
-        '<origin xyz="0.3 -0.1 0.2" rpy="0.4 0.3 -0.2"/></joint>'
-    )
-
-
-ONE = [("revolute", "0 0.6 0.8", "0.1 0.2 0.3", "0.1 0 0.3")]
-GANTRY = [
-    ("prismatic", "1 0 0", "0 0 0.4", "0 0 0"),
-    ("prismatic", "0 1 0", "0.1 0 0.2", "0 0 0.5"),
-    ("revolute", "0 0 1", "0 0.3 0", "0.2 0 0"),
-    ("revolute", "0.6 0 0.8", "0.2 0 0.4", "0 0.7 0"),
-    ("prismatic", "0 0.8 0.6", "0 0.1 0.2", "0 0 0"),
-]
-WRIST = [
-    ("continuous", "0 0 1", "0 0 0.3", "0 0 0"),
-    ("revolute", "0 1 0", "0.4 0 0", "0 0 0.2"),
-    ("continuous", "1 0 0", "0.3 0 0.1", "0.3 0 0"),
-    ("revolute", "0 1 0", "0.2 0 0", "0 0 0"),
-]
-BRANCH = (
-    _link("arm_a")
-    + _link("arm_b")
-    + '<joint name="a_side" type="revolute"><parent link="link1"/><child link="arm_a"/><origin xyz="0 0.3 0"/>'
-    '<axis xyz="1 0 0"/><limit lower="-2" upper="2" velocity="1" effort="1"/></joint>'
-    '<joint name="z_side" type="prismatic"><parent link="arm_a"/><child link="arm_b"/><origin xyz="0 0.1 0.2"/>'
-    '<axis xyz="0 1 0"/><limit lower="-1" upper="1" velocity="1" effort="1"/></joint>'
-)
-
-URDFS = {
-    "one": chain_urdf("one", ONE),
-    "gantry": chain_urdf("gantry", GANTRY),
-    "wrist": chain_urdf("wrist", WRIST),
-    "humanoid": chain_urdf("humanoid", [*WRIST[1:3], GANTRY[4]]),
-    "rover": chain_urdf("rover", [*GANTRY[2:4], WRIST[0]]),
-    "tree": chain_urdf("tree", [*GANTRY[1:4], ("revolute", "0 1 0", "0.1 0 0.1", "0 0 0")], BRANCH),
-    "mimic": chain_urdf("mimic", [*GANTRY[2:4], ("revolute", "0 1 0", "0.2 0 0.1", "0 0 0"), *GANTRY[4:]]).replace(
-        '<axis xyz="0 1 0"/>', '<axis xyz="0 1 0"/><mimic joint="joint0" multiplier="-0.7" offset="0.2"/>', 1
-    ),
-}
 TIPS = {
     "planar3": "tip",
     "sawyer": "right_hand",
@@ -118,12 +72,10 @@ LOCKED = {"panda": ("panda_finger_joint1",)}
 
 
 @cache
-def named_robot(name: str, folder: Path) -> Robot:
+def named_robot(name: str) -> Robot:
     """A robot of `URDFS`, of the project's `robots` folder, or of example-robot-data."""
     if name in URDFS:
-        path = folder / f"{name}.urdf"
-        path.write_text(URDFS[name], encoding="utf-8")
-        return load_robot(path, base=BASES.get(name, "fixed"))
+        return load_robot(ARMS / f"{name}.urdf", base=BASES.get(name, "fixed"))
     return load_robot(name, locked=LOCKED.get(name, ()))
 
 
@@ -133,10 +85,9 @@ def tip_of(robot_name: str) -> str:
 
 
 @pytest.fixture(scope="session")
-def robot_of(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Robot]:
+def robot_of() -> Callable[[str], Robot]:
     """Name -> robot, each built once."""
-    folder = tmp_path_factory.mktemp("robots")
-    return lambda name: named_robot(name, folder)
+    return named_robot
 
 
 @pytest.fixture(scope="session")

@@ -3,26 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import partial
 
 import numpy as np
+from scipy.integrate import solve_ivp
 
 import manip_learn as ml
 from manip_learn.experiments.paper_setup import AXES, Setup, demonstrate, planar_features
 
 PLANAR_ROWS = {"xy": [0, 1], "x-theta": [0, 2], "y-theta": [1, 2]}
-Velocity = Callable[[np.ndarray, float], np.ndarray]
-made = partial(ml.Trajectory, exact=True)  # velocities are those that made the positions
 
 
 def arm_features(axes: str = "xyz", reference: str = "world") -> ml.FrameJacobian:
     """Rows of the Sawyer-like arm's tip."""
     return ml.FrameJacobian(ml.load_robot("sawyer"), "right_gripper_tip", axes, reference)
-
-
-def with_noise(u: np.ndarray, share: float, rng: np.random.Generator) -> np.ndarray:
-    """u with Gaussian noise of a share of its root mean square."""
-    return u + share * np.sqrt(np.mean(u**2)) * rng.standard_normal(u.shape)
 
 
 def paper_motions(
@@ -59,38 +52,23 @@ def guided_motions(
 ) -> tuple[ml.Demonstrations, ml.Constraint]:
     """An arm pushed about while the world holds the rows Lambda Phi.
 
-    Integrated with the classic Runge-Kutta scheme, so that positions and velocities belong together to 1e-8.
+    Integrated so that positions and velocities belong together to 1e-8.
     """
     robot = features.robot
-    truth = ml.Constraint(selection, features)
-    trajectories = []
+    truth, time, trajectories = ml.Constraint(selection, features), dt * np.arange(n_points), []
     for k in range(n_trajectories):
         push = smooth_drive(robot.nv, rng)
         rng.uniform(size=(9, truth.n_constraints))  # not used; without it all motions would be others
 
-        def velocity(q: np.ndarray, t: float, push=push) -> np.ndarray:
+        def velocity(t: float, q: np.ndarray, push=push) -> np.ndarray:
             A, pi = truth(q), push(t)
             return pi - A @ pi @ np.linalg.solve(A @ A.T, A)
 
-        time, q, u = integrated(velocity, random_posture(robot, rng), n_points, dt)
-        trajectories.append(made(time, q, with_noise(u, noise, rng), robot.joint_names, f"motion {k}"))
+        q = solve_ivp(velocity, time[[0, -1]], random_posture(robot, rng), "DOP853", time, rtol=1e-9, atol=1e-10).y.T
+        u = np.array([velocity(*at) for at in zip(time, q, strict=True)])
+        u = u + noise * np.sqrt(np.mean(u**2)) * rng.standard_normal(u.shape)
+        trajectories.append(ml.Trajectory(time, q, u, robot.joint_names, f"motion {k}", exact=True))
     return ml.Demonstrations(trajectories), truth
-
-
-def integrated(
-    velocity: Velocity, q: np.ndarray, n_points: int, dt: float
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Time, positions and velocities of dq/dt = velocity(q, t), for robots without wrapping joints."""
-    time, positions, velocities = dt * np.arange(n_points), [], []
-    for t in time:
-        k1 = velocity(q, t)
-        positions.append(q)
-        velocities.append(k1)
-        k2 = velocity(q + 0.5 * dt * k1, t + 0.5 * dt)
-        k3 = velocity(q + 0.5 * dt * k2, t + 0.5 * dt)
-        k4 = velocity(q + dt * k3, t + dt)
-        q = q + dt / 6.0 * (k1 + 2 * k2 + 2 * k3 + k4)
-    return time, np.array(positions), np.array(velocities)
 
 
 def oblique(s: int, p: int, rng: np.random.Generator) -> np.ndarray:

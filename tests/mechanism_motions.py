@@ -90,25 +90,22 @@ def demonstrate(
     return out
 
 
-def about(axis: np.ndarray, point: np.ndarray, size: float, pitch: float = 0.0, slide: float = 0.0, firm: bool = True):
-    """Path of a hand on something that turns about an axis, moves along it by the pitch, or slides as it likes."""
+def about(
+    axis: np.ndarray | None, point: np.ndarray, size: float, pitch: float = 0.0, slide: float = 0.0, firm: bool = True
+) -> Path:
+    """Path of a hand on something that turns about an axis, moves along it by the pitch, or slides as it likes; without
+    an axis about a point as it likes, as on a cord or, held firmly, as a stick on a ball joint.
+    """
 
     def path(pose: np.ndarray, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray | None]:
-        angle = stroke(rng, size) if not slide else wave(rng, np.array([size / 2]))[:, 0]
-        along = pitch * angle + (wave(rng, np.array([slide]))[:, 0] if slide else 0.0)
-        turn = Rotation.from_rotvec(np.outer(angle, axis))
-        p = point + turn.apply(pose[:3, 3] - point) + np.outer(along, axis)
-        return p, turn.as_matrix() @ pose[:3, :3] if firm else None
-
-    return path
-
-
-def ball(point: np.ndarray, size: float, firm: bool):
-    """Path of a hand that keeps its distance from a point, or is fixed to a stick on a ball joint there."""
-
-    def path(pose: np.ndarray, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray | None]:
-        turn = Rotation.from_rotvec(wave(rng, np.full(3, size)))
-        return point + turn.apply(pose[:3, 3] - point), turn.as_matrix() @ pose[:3, :3] if firm else None
+        if axis is None:
+            turns, along = wave(rng, np.full(3, size)), 0.0
+        else:
+            angle = stroke(rng, size) if not slide else wave(rng, np.array([size / 2]))[:, 0]
+            turns, shift = np.outer(angle, axis), pitch * angle + (wave(rng, np.array([slide]))[:, 0] if slide else 0.0)
+            along = np.outer(shift, axis)
+        turn = Rotation.from_rotvec(turns)
+        return point + turn.apply(pose[:3, 3] - point) + along, turn.as_matrix() @ pose[:3, :3] if firm else None
 
     return path
 

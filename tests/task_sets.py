@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import importlib
 import json
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -17,6 +20,9 @@ EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
 DATA = EXAMPLES / "data"
 LOCKED = {"panda": ("panda_finger_joint1", "panda_finger_joint2")}
 Truth = dict[str, Any]
+GRIP, WANDER = 0.12, 0.06  # [rad] between grips, and of the spare joints on the way
+FINDS_AGAIN = 4e-4  # [m] to which a person finds a handle again
+SPREAD = 0.06  # of how far people go, relative
 
 
 def arm(name: str) -> ml.Robot:
@@ -34,6 +40,51 @@ def generated(
         make_set = importlib.import_module("make_recordings.kinematic_sets").make_set
         motions, truth = make_set(kind, robot, seed, n, noise=noise, whole=whole, tilt=tilt)
     return truth, [ml.Trajectory(t, q, name=f"demo_{i}") for i, (t, q) in enumerate(motions)]
+
+
+def out_and_back(
+    kinds: Sequence[str], robot: str, seed: int, n: int = 6
+) -> tuple[ml.Robot, str, list[ml.Trajectory], list[Any], list[list[float]]]:
+    """Whole recordings of people who take hold of a handle, move the thing out and back, or wipe a table, and go away:
+    robot, tip, recordings, the things (`make_recordings.mechanisms`), and how far each recording went [m or rad].
+    """
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(str(EXAMPLES))
+        names = ("arms", "furniture", "hand_motion", "mechanism_motion", "whole_recording")
+        arms, furniture, hand, moved, whole = (importlib.import_module(f"make_recordings.{name}") for name in names)
+
+        def way(thing: Any, tempo: float, rng: np.random.Generator) -> np.ndarray:
+            if len(thing.size) > 1:
+                return furniture.draw_way(thing, tempo, rng)
+            points = np.outer([rng.normal(1.0, SPREAD), 0.0], thing.size)
+            return hand.strokes(points, tempo * rng.uniform(1.6, 2.4, 2), np.array([0.3, 0.0]))
+
+        patch.setattr(whole, "draw_way", way)
+        built = arms.load_arm(robot)
+        for draw in range(200):
+            rng = np.random.default_rng([seed, draw])
+            places = [furniture.comfortable(built, rng) for _ in kinds]
+            pairs = zip(kinds, places, strict=True)
+            things = [getattr(furniture, kind)(built.pose(q)[:3, 3], rng) for kind, q in pairs]
+            things = [replace(thing, bar=FINDS_AGAIN * np.eye(3)) for thing in things]
+            session = whole.Session(built, things, places, GRIP, WANDER, True)
+            with suppress(moved.UnreachableError):
+                tapes = [session.demonstrate([*range(len(kinds))], False, [seed, draw, i]) for i in range(n)]
+                break
+    demos, ways = [], [list[float]() for _ in kinds]
+    for i, tape in enumerate(tapes):
+        q, names = tape.motion, built.robot.joint_names
+        demos.append(
+            ml.Trajectory(0.01 * np.arange(len(q)), q + rng.normal(0.0, 1e-4, q.shape), None, names, f"demo_{i}")
+        )
+        for begin, end, number in tape.windows:
+            hands = np.array([built.pose(x)[:3, 3] for x in q[round(100 * begin) : round(100 * end) + 1]])
+            far, across = (
+                float(np.max(np.linalg.norm(hands - hands[0], axis=1))),
+                2.0 * getattr(things[number], "radius", 0.0),
+            )
+            ways[number].append(2.0 * np.arcsin(far / across) if across else far)
+    return built.robot, built.tip.name, demos, things, ways
 
 
 @cache

@@ -13,9 +13,8 @@ from scipy.spatial.transform import Rotation
 from test_gradients import bent_rail, central_difference
 
 import manip_learn as ml
-from manip_learn.constraint.features.mechanism_rows import PlaceRows
 from manip_learn.constraint.place import ROW_UNITS, across
-from manip_learn.errors import ConstraintError, FeatureError, TargetError, UnknownNameError
+from manip_learn.errors import ConstraintError, FeatureError, TargetError
 from manip_learn.linalg import row_space_angle
 
 TCP = "panda_hand_tcp"
@@ -24,52 +23,24 @@ NAN, NO_ROTATIONS = np.nan, ([1, 1, -1, 1], [0, 0, 0, 0], [2, 2, 2, 1])
 
 
 def test_what_is_refused(robot_of, panda):
-    """Unknown frames, references and rows, places that are none, functions of the wrong shape, targets of another
-    size: each with what was wrong, and near names or the valid ones.
+    """Rows of several robots, functions of the wrong shape, targets of another size: each with what was wrong, and the
+    valid ones.
     """
     sawyer, zero = robot_of("sawyer"), np.zeros(7)
     hand, mass, other = ml.FrameJacobian(panda, TCP), ml.CentreOfMass(panda), ml.FrameJacobian(sawyer, "right_hand")
     rail, pose = ml.CurveRows(panda, TCP, np.eye(4, 3)), ml.FrameJacobian(panda, TCP, "pose")
-    on_rail = ml.Constraint(np.eye(2, 3), rail)
     one = ml.CustomFeatures(lambda q: [[1.0, 0.0]], ("f",), nv=2)
-
-    def rows(names: str, **place) -> ml.MechanismRows:
-        return ml.MechanismRows(panda, TCP, names, **place)
-
-    def seen(frame: str, axes: str = "x") -> ml.RelativeFrameJacobian:
-        return ml.RelativeFrameJacobian(sawyer, "right_hand", frame, axes)
+    seen = ml.RelativeFrameJacobian(sawyer, "right_hand", "right_l3", "x")
 
     def custom(value) -> np.ndarray:
         return ml.CustomFeatures(lambda q: value, ("f",), nv=2)([0.0, 0.0])
 
-    wrong_targets = ([1.0], [1.0, 2.0, 3.0, 4.0], [1.0, NAN, 2.0], 1.0, [[1.0, 2.0, 3.0]], np.zeros((6, 6)))
     refused = [
-        (lambda: ml.FrameJacobian(panda, "panda_hand_tpc"), UnknownNameError, "'panda_hand_tcp'"),
-        (lambda: ml.FrameJacobian(panda, TCP, reference="base"), FeatureError, "'world' or 'local'"),
-        (lambda: ml.CentreOfMass(panda, "planar"), FeatureError, "must be x, y or z"),
         (lambda: ml.Stacked([]), FeatureError, "one robot"),
         (lambda: ml.Stacked([ml.FrameJacobian(robot_of("planar3"), "tip"), hand]), FeatureError, "one robot"),
         (lambda: ml.Stacked([other, hand]), FeatureError, "share one robot"),
-        (lambda: seen("rihgt_l3"), UnknownNameError, "right_l3"),
-        (lambda: seen("right_hand"), FeatureError, "relative to itself"),
-        (lambda: seen("right_l3", "x w"), FeatureError, "x y z"),
-        (lambda: rows("radia"), FeatureError, "unknown row"),
-        (lambda: rows("radial radial"), FeatureError, "twice"),
-        (lambda: rows(""), FeatureError, "no row"),
-        (lambda: rows("axial", axis=(0, 0, 0)), FeatureError, "axis must not be zero"),
-        (lambda: rows("axial", point=(0, NAN, 0)), FeatureError, "finite"),
-        (lambda: rows("axial", pitch=np.inf), FeatureError, "pitch"),
-        *((lambda r=r: rows("radial", radius=r), FeatureError, "radius") for r in (0.0, NAN, np.inf)),
-        (lambda: rows("tangential").coordinates(panda.neutral()), FeatureError, "coordinates"),
-        (lambda: PlaceRows(panda, TCP, "line", (0, 0, 0)), FeatureError, "form must be"),
-        *((lambda m=m: PlaceRows(panda, TCP, "point", m), FeatureError, "middle") for m in ((0, 0), (0, 0, NAN))),
-        *(
-            (lambda p=p: ml.CurveRows(panda, TCP, p), FeatureError, "curve")
-            for p in (np.zeros((3, 3)), np.zeros((5, 3)), np.full((5, 3), NAN))
-        ),
+        (lambda: ml.MechanismRows(panda, TCP, "tangential").coordinates(zero), FeatureError, "coordinates"),
         (lambda: rail.with_rows(("up",)), FeatureError, "unknown row 'up'"),
-        (lambda: ml.motion(on_rail, turn=0.2), ConstraintError, "does not turn"),
-        (lambda: ml.motion(on_rail, along=0.1, direction=(1, 0, 0)), TargetError, "forth"),
         *((lambda v=v: custom(v), FeatureError, "must have shape") for v in (np.zeros((2, 2)), np.zeros(2))),
         (lambda: custom([[NAN, 0]]), FeatureError, "not fin"),
         (lambda: one.coordinates([0.0, 0.0]), FeatureError, "no task coordinates"),
@@ -77,11 +48,7 @@ def test_what_is_refused(robot_of, panda):
         (lambda: one.with_rotation(np.eye(1)), ConstraintError, "belong to no frame"),
         (lambda: ml.CustomFeatures(lambda q: q, ("f",)), FeatureError, "nv="),
         (lambda: ml.CustomFeatures(lambda q: q, (), nv=2), FeatureError, "row name"),
-        *(
-            (lambda f=f, t=t: f.error_to(t, zero), TargetError, "x, y, z")
-            for f, t in product((hand, mass), wrong_targets)
-        ),
-        (lambda: seen("right_l3").error_to([1.0, 2.0], zero), TargetError, "1 finite"),
+        (lambda: seen.error_to([1.0, 2.0], zero), TargetError, "1 finite"),
         (lambda: ml.Stacked([hand, mass]).error_to([0.1, 0.2], zero), TargetError, "6 finite"),
         (lambda: ml.FrameJacobian(panda, TCP, "x z", "local").error_to([0.1, 0.2], zero), TargetError, "4 x 4 pose"),
         *((lambda d=d: pose.error_to(np.diag(d), zero), TargetError, "not a rotation") for d in NO_ROTATIONS),

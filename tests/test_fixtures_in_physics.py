@@ -6,6 +6,7 @@ knows. A firm grip is a weld, a loose one a ball joint; `kept` is a wrist that a
 
 from __future__ import annotations
 
+from itertools import product
 from pathlib import Path
 
 import pytest
@@ -19,11 +20,14 @@ ARMS = {
     "without ends": physics.Arm("arms/seven_endless.urdf", "tool", (0.0, 0.5, 0.0, 1.6, 0.0, -0.5, 0.0), 0.95),
 }
 FEW = [("six joints", "skew"), ("six joints", "door"), ("without ends", "drawer_kept"), ("without ends", "knob")]
-ALL = [(arm, task, seed) for arm in ARMS for task in physics.TASKS for seed in (91, 92)]
+ALL = [pytest.param(*x, marks=pytest.mark.slow) for x in product(ARMS, physics.TASKS, (91, 92))]
 
 
-def assert_done(arm: str, task: str, seed: int) -> None:
-    """Record, learn, repeat, and look at the fixture."""
+@pytest.mark.parametrize(("arm", "task", "seed"), [*((*few, 90) for few in FEW), *ALL])
+def test_the_arm_does_what_was_shown(arm, task, seed):
+    """Recorded, learnt and repeated: a bar that is held anywhere along it, a firm door, a drawer with a straight wrist,
+    a knob; in the slow run every fixture on both arms, two seeds each.
+    """
     one = physics.run(ARMS[arm], physics.TASKS[task], seed, TESTS)
     assert one.off < physics.TOO_FAR, "the hand closed beside the handle"
     assert physics.WAY[0] <= one.way <= physics.WAY[1], "the fixture did not go as far as was shown"
@@ -32,16 +36,3 @@ def assert_done(arm: str, task: str, seed: int) -> None:
     assert one.path <= 1.0, "a detour"
     assert one.left < 1e-3, "an arm that had arrived left again"
     assert one.said_done
-
-
-@pytest.mark.parametrize(("arm", "task"), FEW)
-def test_the_arm_does_what_was_shown(arm, task):
-    """A bar that is held anywhere along it, a firm door, a drawer with a straight wrist, a knob."""
-    assert_done(arm, task, 90)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(("arm", "task", "seed"), ALL)
-def test_every_fixture(arm, task, seed):
-    """Drawers, doors, lids, a knob, an oven, a table, a peg: on both arms, two seeds each."""
-    assert_done(arm, task, seed)

@@ -2,21 +2,20 @@
 
 from __future__ import annotations
 
+import json
+
 import numpy as np
 import pytest
-from case import case
+from case import rows_in
 from numpy.testing import assert_allclose
 from test_gradients import RobotOf
 
 import manip_learn as ml
-from manip_learn.errors import ConstraintError, TargetError
 from manip_learn.robot.rotations import rotation_matrix, rotation_vector
 
 TIP = "panda_hand_tcp"
 READY = np.array([0.0, -0.3, 0.0, -2.0, 0.0, 1.8, 0.7])
 AXIS = np.array([0.1, -0.2, 0.95]) / np.linalg.norm([0.1, -0.2, 0.95])
-FIRM, SLEEVE = "turn-1 turn-2 slide-1 slide-2 slide", "turn-1 turn-2 slide-1 slide-2"
-FAR, NEAR, OUT = (0.1, 0.25, -0.3), (0.05, 0.03, 0.0), (0.1, 0.2, -0.1)  # from the hand to the axis [m]
 
 
 def run(task: ml.FreeDirection, q: np.ndarray, limits: bool | ml.Limits = True, climb: bool = False) -> ml.Rollout:
@@ -52,28 +51,15 @@ def test_a_held_pose_along_an_oblique_line(robot_of: RobotOf, view: str, distanc
     assert_allclose(end[:3, 3], start[:3, 3], rtol=0, atol=1e-4)
 
 
-# rows, pitch, place of the axis, distance, direction, unit; of the hand: where one way is free, whether it turns
-MOVED = [
-    ("radial axial", 0.0, FAR, 1.0472, None, "rad", ""),
-    (FIRM, 0.0, FAR, -1.0472, None, "rad", "carried"),
-    ("radial axial turn-1 turn-2 turn", 0.0, FAR, 1.0472, None, "rad", "fixed"),
-    ("radial helical", 0.03, NEAR, 4.0, None, "rad", ""),
-    (f"{SLEEVE} screw", -0.03, NEAR, 1.5, None, "rad", "carried"),
-    ("radial", 0.0, OUT, 0.1, "axial", "m", None),
-    (SLEEVE, 0.0, OUT, -0.4, "turn", "rad", None),
-    (SLEEVE, 0.0, OUT, -0.05, "slide", "m", None),
-    ("spherical", 0.0, OUT, 0.5, (0.0, 0.0, 2.0), "rad", None),
-    ("slide-1 slide-2 slide", 0.0, OUT, 0.5, (0.0, 0.0, 2.0), "rad", None),
-]
-
-
-@pytest.mark.parametrize(("rows", "pitch", "off", "distance", "direction", "unit", "hand"), MOVED)
+@pytest.mark.parametrize(
+    ("rows", "pitch", "off", "distance", "direction", "unit", "hand"), rows_in("ways_on_mechanisms.txt")
+)
 def test_on_a_mechanism(robot_of: RobotOf, rows, pitch, off, distance, direction, unit, hand) -> None:
     """A door turns, a screw moves along its axis by the pitch times the angle, in both senses of thread, also beyond
     half a turn; where several directions are free the named one is driven. What is held stays within 0.1 mm, however
     the hand is held.
     """
-    robot = robot_of("panda")
+    robot, pitch, off, distance, direction = robot_of("panda"), *map(json.loads, (pitch, off, distance, direction))
     start = robot.pose(READY, TIP)
     point, ball = start[:3, 3] + off, rows in ("spherical", "slide-1 slide-2 slide")
     features = ml.MechanismRows(robot, TIP, rows, axis=AXIS, point=point, pitch=pitch)
@@ -83,15 +69,15 @@ def test_on_a_mechanism(robot_of: RobotOf, rows, pitch, off, distance, direction
     d = places(rollout, robot) - point
     z, rho = d @ AXIS, np.linalg.norm(d if ball else np.cross(d, AXIS), axis=1)
     assert task.unit == unit and task.progress(rollout.q[-1]) == pytest.approx(distance, abs=2e-3 if pitch else 1e-3)
-    assert np.ptp(rho) < 1e-4 and (hand is None or pitch or np.ptp(z) < 1e-4)
+    assert np.ptp(rho) < 1e-4 and (hand == "several ways" or pitch or np.ptp(z) < 1e-4)
     if unit == "m":
         assert z[-1] - z[0] == pytest.approx(distance, abs=1e-3)
-    if hand is not None:
+    if hand != "several ways":
         end, turn = robot.pose(rollout.q[-1], TIP), rotation_matrix(distance * AXIS)
         there = turn @ -np.array(off) + pitch * distance * AXIS
         assert z[-1] - z[0] == pytest.approx(pitch * distance, abs=1e-4)
         assert_allclose(d[-1], there, rtol=0, atol=2e-4)
-        if hand:
+        if hand != "any":
             kept = (turn if hand == "carried" else np.eye(3)) @ start[:3, :3]
             assert_allclose(end[:3, :3], kept, rtol=0, atol=1e-3)
 
@@ -136,51 +122,3 @@ def test_start_reset_and_a_second_run(robot_of: RobotOf) -> None:
     assert given.progress(here) == pytest.approx(0.02, abs=1e-3)
     wanted = robot.position(READY, TIP) + [0.05, 0.0, 0.0]
     assert_allclose(places(run(given, here), robot)[-1], wanted, rtol=0, atol=1e-4)
-
-
-WRONG = [
-    ({"distance": 0.0}, "distance must be a finite number other than 0"),
-    ({"distance": np.nan}, "distance"),
-    ({"distance": "far"}, "distance must be a number"),
-    ({"speed": 0.0}, "speed must be a positive number"),
-    ({"speed": np.inf}, "speed"),
-    ({"gain": 0.0}, "gain"),
-    ({"ramp": -1.0}, "ramp"),
-    ({"direction": (0.0, 1.0, 0.0)}, r"holds the direction .* free is \+1 x"),
-    ({"direction": (1.0, 0.0)}, "3 finite numbers"),
-    ({"direction": (0.0, 0.0, 0.0)}, "not all zero"),
-    ({"direction": "ahead"}, "3 finite numbers .* got 'ahead'"),
-]
-NOT_DRIVEN = [  # rows of a mechanism or axes, selection, direction
-    ("x y", None, None, ConstraintError, "none of x y free"),
-    ("x y z rz", [[0, 0, 1.0, 0]], None, ConstraintError, r"3 directions free \(\+1 x; \+1 y; \+1 rz\)"),
-    ("radial", None, None, ConstraintError, r"2 directions free .*tangential \(around the axis\).*direction='tang"),
-    ("spherical", None, None, ConstraintError, "turns about every axis"),
-    ("radial axial tangential", None, None, ConstraintError, "nothing free"),
-    ("radial axial", [[1.0, 0.5]], None, ConstraintError, "combinations"),
-    ("radial", None, "turn", TargetError, ""),
-    ("radial", None, (0, 0, 1), TargetError, ""),
-    ("spherical", None, "x", TargetError, ""),
-    ("spherical", None, (0, 0, 0), TargetError, ""),
-]
-
-
-def test_what_is_refused(robot_of: RobotOf) -> None:
-    """Wrong arguments, nothing free, several directions free, a held or unknown row, combinations: each with
-    a sentence that names it.
-    """
-    robot = robot_of("panda")
-    line = ml.Constraint(np.eye(3)[1:], ml.FrameJacobian(robot, TIP))
-    for arguments, words in WRONG:
-        with case(arguments), pytest.raises(TargetError, match=words):
-            ml.FreeDirection(line, **({"distance": 0.1, "speed": 0.1} | arguments))
-
-    def driven(rows: str, selection, direction) -> None:
-        features = (ml.FrameJacobian if rows[0] == "x" else ml.MechanismRows)(robot, TIP, rows)
-        constraint = ml.Constraint(np.eye(features.n_rows) if selection is None else selection, features)
-        ml.FreeDirection(constraint, 1, 1, direction=direction)
-
-    for rows, selection, direction, error, words in NOT_DRIVEN:
-        with case(rows, direction), pytest.raises(error, match=words or None):
-            driven(rows, selection, direction)
-    driven("radial axial", [[1.0, 0.0]], "axial")  # what is not selected is free

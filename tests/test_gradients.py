@@ -4,12 +4,13 @@ manipulability is at singularities, and the derivatives of pose errors.
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Iterator
 from itertools import product
 
 import numpy as np
 import pytest
-from case import case
+from case import case, rows_in
 from conftest import TIPS, URDFS, tip_of
 from numpy.testing import assert_allclose, assert_array_equal
 from rounding import rounding
@@ -203,31 +204,15 @@ def test_singular_is_zero_never_nan(robot_of: RobotOf, rng: np.random.Generator)
     assert mu == 0.0 and not gradient.any()
 
 
-# Each is exactly singular with its rank short by one: robot, axes, selection (None: all rows; "blocked": one row that
-# no joint moves at this posture, and one at random), posture.
-CONES = {
-    "planar, stretched along x": ("planar3", "x y", None, [0.0, 0.0, 0.0]),
-    "planar, folded": ("planar3", "x y", None, [0.7, np.pi, np.pi]),
-    "planar, one row, all zero": ("planar3", "x y", [[1.0, 0.0]], [0.0, 0.0, 0.0]),
-    "planar, square": ("planar3", "planar", None, [0.2, 0.0, 0.5]),
-    "planar, dense": ("planar3", "planar", [[np.cos(0.4), np.sin(0.4), 0.0], [-0.5, 0.3, 2.0]], [0.4, 0.0, 0.0]),
-    "continuous joints": ("wrist", "pose", "blocked", [0.3, 0.9, -0.4, 0.2]),
-    "mimic joint": ("mimic", "pose", "blocked", [0.3, 0.5, -0.4]),
-    "ur5, pose": ("ur5", "pose", None, [0.3, -1.0, 0.8, 0.4, 0.0, 0.2]),
-    "panda, upright": ("panda", "rotation", None, [0.3, 0.0, 0.0, 0.0, 0.0, 0.0, 0.1]),
-}
-
-
-@pytest.mark.parametrize("which", CONES)
-def test_singularities(robot_of: RobotOf, rng: np.random.Generator, which: str):
+@pytest.mark.parametrize(("which", "name", "axes", "selection", "positions"), rows_in("singular_postures.txt"))
+def test_singularities(robot_of: RobotOf, rng: np.random.Generator, which, name, axes, selection, positions):
     """At an exact singularity grad mu has the direction and the rate of the cone's steepest ascent: mu rises along it
     at the rate claimed, either way, and faster than along 200 directions at random, its largest entry being positive.
     At distances of 1e-2 down to 1e-13 the gradients stay finite, the gradient in bulk (of the planar arm) is that of
     the single posture, and a step along it raises mu (one of 1e-9 where the distance itself drowns in rounding).
     """
-    name, axes, selection, positions = CONES[which]
-    robot = robot_of(name)
-    features, q = ml.FrameJacobian(robot, tip_of(name), axes), robot.configuration(positions)
+    robot, selection = robot_of(name), json.loads(selection)
+    features, q = ml.FrameJacobian(robot, tip_of(name), axes), robot.configuration(json.loads(positions))
     if selection is None:
         selection = np.eye(features.n_rows)
     elif selection == "blocked":

@@ -30,6 +30,12 @@ POLICIES: dict[str, Policies] = {
 }
 
 
+@pytest.fixture(autouse=True, params=["", "python"])
+def engine(request, monkeypatch):
+    """The compiled law if there is one, and the law in Python."""
+    monkeypatch.setenv("MANIP_LEARN_ENGINE", request.param)
+
+
 def velocity_of(policy: ml.NullSpacePolicy, q: np.ndarray) -> np.ndarray:
     """What the policy asks for, held for DT."""
     return policy(q, 0.0, DT) if isinstance(policy, SampledPolicy) else policy(q, 0.0)

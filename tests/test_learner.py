@@ -16,21 +16,13 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 import scale_motions
-from generated_motions import paper_motions, planar_features
+from generated_motions import arm_features, paper_motions, planar_features
 from numpy.testing import assert_allclose, assert_array_equal
-from task_sets import DATA
 
 import manip_learn as ml
-from manip_learn.errors import FeatureError, NotFittedError, NotIdentifiableError
+from manip_learn.errors import NotFittedError, NotIdentifiableError
 from manip_learn.experiments.paper_setup import Setup, demonstrate
 from manip_learn.linalg import orthonormal_rows, row_space_angle
-
-TIP = "right_gripper_tip"
-
-
-@cache
-def shipped(folder: str) -> ml.Demonstrations:
-    return ml.load_demonstrations(sorted((DATA / folder).glob("*.csv")), ml.load_robot("sawyer"))
 
 
 def free_direction_error(learner: ml.ConstraintLearner, truth: np.ndarray) -> float:
@@ -45,7 +37,7 @@ def test_the_drawer():
     wrist, 0.1 m behind the grip, is held only roughly: a weak gap, an uncertainty that says so, a warning. `strength`
     is the least that a row must show: what is known beyond doubt stays until more is wanted.
     """
-    features, demos = ml.FrameJacobian(ml.load_robot("sawyer"), TIP), shipped("sawyer_drawer")
+    features, demos = arm_features(), ml.load_demonstrations("sawyer_drawer", ml.load_robot("sawyer"))
     learner = ml.ConstraintLearner(features).fit(demos)
     report = learner.report_
     assert (report.n_constraints, report.kind, report.warnings) == (2, "motion-constrained", ())
@@ -73,8 +65,10 @@ def test_the_door_is_constant_in_the_tools_frame(axes: str, free: list[float]):
     """Doors and flaps: among both references the local one is chosen, and the free twist is right to 0.1 degrees. No
     mechanism is named: what the four doors have in common is no plane of the four flaps.
     """
-    candidates = [ml.FrameJacobian(ml.load_robot("sawyer"), TIP, axes, reference) for reference in ("world", "local")]
-    learner = ml.ConstraintLearner(candidates[:: -1 if axes == "pose" else 1]).fit(shipped("sawyer_door"))
+    robot, candidates = ml.load_robot("sawyer"), [arm_features(axes, reference) for reference in ("world", "local")]
+    learner = ml.ConstraintLearner(candidates[:: -1 if axes == "pose" else 1]).fit(
+        ml.load_demonstrations("sawyer_door", robot)
+    )
     report = learner.report_
     assert report.reference == "local" and report.gap > 100.0 and report.mechanism is None
     assert free_direction_error(learner, np.array(free)) < 0.1
@@ -99,28 +93,6 @@ def test_nothing_is_learnt_before_a_fit():
             getattr(learner, name)
     with pytest.raises(AttributeError, match="'report'"):
         getattr(learner, "report")  # noqa: B009
-
-
-LEAST = {"strength": 0.5, "switching_cost": -1.0, "joint_offset_std": -0.1, "link_error_std": -0.1, "max_samples": 99}
-
-
-@pytest.mark.parametrize(
-    ("settings", "words"),
-    [
-        ({"estimator": "magic"}, "'magic'"),
-        ({"phases": "often"}, "phases must be 'auto' or 'off'"),
-        ({"velocities": "guessed"}, "velocities must be one of"),
-        ({"features": []}, "at least one"),
-        ({"features": [3]}, "features must be"),
-        ({"n_constraints": 4}, "between 1 and 3"),
-        ({"n_constraints": 1.5}, "an integer"),
-        *(({name: x}, f"{name} must be") for name, bad in LEAST.items() for x in (bad, np.nan, np.inf, True, "some")),
-    ],
-)
-def test_settings_out_of_range(settings: dict[str, Any], words: str):
-    """Unknown words, no features, and numbers that are none or too small: refused at once, each by its name."""
-    with pytest.raises(FeatureError, match=words):
-        ml.ConstraintLearner(**({"features": planar_features()} | settings))
 
 
 def test_a_policy_model_that_is_none():

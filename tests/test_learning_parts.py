@@ -4,10 +4,12 @@ world holds are found, and nothing else is called certain.
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from case import rows_in
 from generated_motions import arm_features, guided_motions, oblique, random_posture, smooth_drive
 from numpy.testing import assert_allclose
 from task_sets import moving
@@ -108,64 +110,34 @@ def test_columns_of_the_fit_are_derivatives():
     assert n_errors == nv + 6 * len(moved.view.features.robot.joint_names)  # of each link behind the first, and the tip
 
 
-@pytest.mark.parametrize(
-    ("gap", "strengths", "says", "clear"),
-    [
-        (12.0, (30.0, 9.0), "", True),
-        (12.0, (9.0, 3.5), "", False),
-        (4.1, (12.0, 10.0), "", False),
-        (12.0, (9.0, 1.2), "the recombination test supports 1: ", False),
-        (12.0, (0.9, 1.2), "the recombination test supports 0: ", False),
-        (1.1, (12.0, 10.0), "", False),
-        (0.6, (12.0, 10.0), "the gap supports 1: 2 against 0.6", False),
-    ],
-)
-def test_its_own_tests_decide_on_an_answer(gap: float, strengths: tuple[float, ...], says: str, clear: bool):
+@pytest.mark.parametrize(("gap", "strengths", "says", "clear"), rows_in("verdicts.txt"))
+def test_its_own_tests_decide_on_an_answer(gap: str, strengths: str, says: str, clear: str):
     """Fewer rows by recombination, or a gap thrice as large at another number, speak against it; clear needs both."""
-    view, strength, p = held(4), np.array(strengths), np.full(2, 0.005)
+    view, strength, p = held(4), np.array(json.loads(strengths)), np.full(2, 0.005)
     rows = Evidence(strength, strength, p, np.full(2, 0.1), 5)
-    answer = Answer(view, whole(view), np.eye(3)[:2], np.ones(3), {1: 2.0, 2: gap}, evidence=rows)
+    answer = Answer(view, whole(view), np.eye(3)[:2], np.ones(3), {1: 2.0, 2: float(gap)}, evidence=rows)
     assert answer.contradiction.startswith(says) and bool(says) == bool(answer.contradiction)
-    assert answer.clear == clear
+    assert answer.clear == (clear == "yes")
 
 
 LINE = ml.Mechanism("line", axis=np.array([0.8, 0.6, 0.0]), uncertainty={"axis": 0.3})
 KNOWN = {"axis": 0.004, "point": 7e-5}
 HINGE = ml.Mechanism("hinge", np.eye(3)[2], np.array([0.4, 0.1, 0.0]), 0.3, orientation="carried", uncertainty=KNOWN)
-HAND = ml.load_robot("sawyer"), "right_gripper_tip"
-WORLD = ml.FrameJacobian(*HAND)
 SENSORS = ml.CustomFeatures(lambda q: np.eye(3), ("a", "b", "c"), 3)
-ACROSS = np.array([[-0.6, 0.8, 0.0], [0.0, 0.0, 1.0]])
 
 
-@pytest.mark.parametrize(
-    ("features", "held", "imposed", "angle", "mechanism", "words"),
-    [
-        (WORLD, ACROSS, False, 0.00084, LINE,
-         "The tip can move along (0.80, 0.60, 0.00) and is blocked across it. It looks like a straight line "
-         "(a drawer). Direction known to 0.0008 degrees."),
-        (WORLD, ACROSS[:1], False, 2.0, LINE,
-         "The tip can move along (0.80, 0.60, 0.00) and z and is blocked along (-0.60, 0.80, 0.00). The path alone "
-         "looks like a straight line (a drawer), along (0.80, 0.60, 0.00). "
-         "Direction known to 2 degrees and axis to 0.3 degrees."),
-        (WORLD, np.eye(3), False, None, None, "The tip cannot move."),
-        (ml.FrameJacobian(*HAND, "x y rz"), np.eye(3)[:2], True, 3e-6, None,
-         "The tip is steered on purpose along x and y; it can turn about z. "
-         "Direction known to better than 0.0001 degrees."),
-        (ml.MechanismRows(*HAND, "radial axial"), np.eye(2), False, None, HINGE,
-         "The tip can move on a circle of radius 0.300 m about the axis (0.00, 0.00, 1.00) through (0.40, 0.10, 0.00) "
-         "and cannot leave it. It looks like a hinge (a door); the hand turns with it. "
-         "Axis known to 0.004 degrees and place to 0.07 mm."),
-        (SENSORS, ACROSS, False, 0.5, None,
-         "The motion is free along (0.80, 0.60, 0.00) in (a, b, c) and blocked in every other way. "
-         "Direction known to 0.5 degrees."),
-    ],
-)  # fmt: skip
-def test_the_first_sentence(features, held, imposed, angle, mechanism, words):
+@pytest.mark.parametrize(("what", "held", "kind", "angle", "path", "words"), rows_in("first_sentences.txt"))
+def test_the_first_sentence(sawyer, what, held, kind, angle, path, words):
     """What can move, what is blocked, what it looks like, how sure: each said once, for every kind of rows."""
-    kind = "self-imposed" if imposed else "motion-constrained"
-    used = np.ones(features.n_rows, dtype=bool)
-    assert describe(kind, free_directions(held, used), features, used, angle, mechanism) == words
+    features = {
+        "world": arm_features(),
+        "x y rz": arm_features("x y rz"),
+        "radial axial": ml.MechanismRows(sawyer, "right_gripper_tip", "radial axial"),
+        "sensors": SENSORS,
+    }[what]
+    used, mechanism = np.ones(features.n_rows, dtype=bool), {"line": LINE, "hinge": HINGE}.get(path)
+    free = free_directions(np.array(json.loads(held)), used)
+    assert describe(kind, free, features, used, json.loads(angle), mechanism) == words
 
 
 # ---- the recombination test ---------------------------------------------------------------------------------------
@@ -236,10 +208,10 @@ def test_held_rows_are_counted_and_clear():
         assert (empty.n_rows, verdict(empty)) == (0, "none") and "do not move" in empty.sentence()
 
 
-def of_numbers(strengths, lower=None, p_values=None, levels=(0.01, 0.1, 1.0), **options) -> Evidence:
-    """Evidence of five recordings, with numbers of one's own."""
+def of_numbers(strengths, lower=None, p_values=None, levels=(0.01, 0.1, 1.0), recordings=5, **options) -> Evidence:
+    """Evidence with numbers of one's own."""
     p, lower = p_values or (0.005,) * 3, lower or strengths
-    return Evidence(*map(np.array, (strengths, lower, p, levels)), 5, **options)
+    return Evidence(*map(np.array, (strengths, lower, p, levels)), recordings, **options)
 
 
 def test_the_verdict_is_that_of_its_numbers():
@@ -250,6 +222,7 @@ def test_the_verdict_is_that_of_its_numbers():
     found = of_numbers((10.0, 6.0, 0.9))
     assert (found.n_rows, verdict(found), states(found)) == (2, "clear", ["held", "held", "free"])
     assert [row.p_value for row in found.rows] == [0.005] * 3
+    assert [verdict(of_numbers((10.0, 6.0, 0.9), recordings=n)) for n in (2, 3)] == ["weak", "clear"]
     for strengths, lower, options, n_rows in (
         ((10.0, 2.0, 0.9), (9.0, 1.58, 0.8), {}, 1),
         ((1.4, 3.0, 0.9), None, {}, 2),  # the first has the least of what noise there is

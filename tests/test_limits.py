@@ -11,7 +11,8 @@ from servo_cases import Arm, Constantly
 
 import manip_learn as ml
 from manip_learn.control.barriers import approach_bound
-from manip_learn.errors import ConfigurationError, ManipLearnError, UnknownNameError
+from manip_learn.control.limits import farthest_positions
+from manip_learn.errors import ConfigurationError, ManipLearnError
 
 TIP, SPEED, DT = "right_gripper_tip", 0.25, 0.002
 CLEARANCE, SLACK = 0.005, 1e-4  # [m]
@@ -91,28 +92,19 @@ def test_a_singularity_is_approached_so_slowly_that_the_arm_can_stop():
     assert approach_bound(0.1, np.zeros(3), acceleration, 1e-3) == np.inf
 
 
-REFUSED = [
-    ({"velocity": 0.0}, "velocity limit of joint 'right_j0' must be positive, got 0"),
-    ({"acceleration": [1.0, 1.0]}, "7 numbers"),
-    ({"acceleration": [1, 1, -1, 1, 1, 1, 1]}, "'right_j2' must be positive, got -1"),
-    ({"jerk": np.nan}, "must be positive, got nan"),
-    ({"margin": 4.0}, "no room to joint 'right_j0'"),
-    ({"margin": 2.977}, "'right_j4', whose range is 5.9522 wide"),
-    ({"margin": -0.1}, "margin"),
-    *(({"tip_speed": speed}, "tip_speed") for speed in (0.0, -1.0, np.nan, np.inf, "fast")),
-    ({"tip_speed": 1.0, "frames": "nowhere"}, "nowhere"),
-    *(({"tip_box": x}, "a box is two rows") for x in ([0.0, 1.0], [[0.0] * 3, [1.0, 0, 1]], [[0.0] * 3, [np.nan] * 3])),
-    *(({"tip_walls": x}, "walls must be rows") for x in ([1.0, 0, 0, 1], [[0.0, 0, 0, 1]], [[1.0, 0, 0, np.inf]])),
-    *(({"clear_of": ml.Scene(floor=-1.0), "clearance": x}, f"clearance is {x}") for x in (-0.1, math.nan)),
-]
-
-
-@pytest.mark.parametrize(("settings", "words"), REFUSED)
-def test_impossible_limits_are_refused(settings, words, sawyer):
-    """The joint or the setting and the value seen are named, and the width of a range that a margin uses up."""
-    unknown = "frames" in settings
-    with pytest.raises(UnknownNameError if unknown else ConfigurationError, match=words):
-        ml.Limits(sawyer, **settings)
+def test_when_a_bound_is_looked_at_and_where_there_is_room(sawyer, robot_of):
+    """Motions that may be too fast for a singularity; the sense with 0.1 rad of room; what no encoder can say."""
+    limits = ml.Limits(sawyer, acceleration=5.0)
+    for sigma, dt, least in ((0.002, 1e-3, (20.0 * 0.002) ** 2), (0.002, 0.1, (5.0 * 0.002) ** 2), (1.0, 1e-3, 5.0)):
+        assert [limits.may_approach(x * least, 1.0, sigma, dt) for x in (0.999, 1.001)] == [False, True]
+    for side, end in ((1.0, sawyer.position_upper[1]), (-1.0, sawyer.position_lower[1])):
+        way = 2.0 * side * np.eye(7)[1]
+        for room, kept in ((0.101, 1.0), (0.099, -1.0)):
+            np.testing.assert_array_equal(limits.freer_sense((end - side * room) * np.eye(7)[1], way), kept * way)
+    np.testing.assert_allclose(
+        farthest_positions(sawyer) - 2.0 * np.pi, np.abs([sawyer.position_lower, sawyer.position_upper]).max(axis=0)
+    )
+    assert farthest_positions(robot_of("kinova")) == 1e6
 
 
 # ---- frames ----
@@ -206,8 +198,7 @@ def distance(pairs, q) -> float:
 )  # fmt: skip
 def test_nothing_comes_nearer_than_the_clearance(name, kind, dt, acceleration, robot_of):
     """A task that leads through a thing: no pair is nearer than the clearance, at any step, and the arm moved."""
-    robot = ml.load_robot("panda", locked=("panda_finger_joint1",)) if name == "panda" else robot_of(name)
-    tip, q, way = STARTS[name]
+    robot, (tip, q, way) = robot_of(name), STARTS[name]
     place = robot.position(q, tip)
     obstacles = standing(kind, place + 0.5 * np.array(way)).obstacles(robot)
     shapes = "visual" if name == "planar3" else "collision"

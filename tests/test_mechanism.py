@@ -8,7 +8,7 @@ import re
 
 import numpy as np
 import pytest
-from mechanism_motions import about, along, ball, demonstrate, stroke, wave
+from mechanism_motions import about, along, demonstrate, stroke, wave
 from scipy.spatial.transform import Rotation
 from task_sets import arm, learnt, moving
 
@@ -42,8 +42,8 @@ def paths(point):
         "plane": (along(across(AXIS), 0.12, False), "plane", 1),
         "hinge": (about(AXIS, point, 0.7, firm=False), "hinge", 2),
         "hinge, firm": (about(AXIS, point, 0.7), "hinge", 5),
-        "ball": (ball(point, 0.25, False), "ball", 1),
-        "ball, firm": (ball(point, 0.25, True), "ball", 3),
+        "ball": (about(None, point, 0.25, firm=False), "ball", 1),
+        "ball, firm": (about(None, point, 0.25), "ball", 3),
         "screw": (about(AXIS, point, 1.2, pitch=PITCH, firm=False), "screw", 2),
         "screw, firm": (about(AXIS, point, 0.8, pitch=PITCH), "screw", 5),
         "sleeve": (about(AXIS, point, 0.8, slide=0.08), "other", 4),

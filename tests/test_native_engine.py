@@ -12,8 +12,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import tip_of
-from random_arms import State, law_of, oblique, state_of
+import servo_cases
+from random_arms import State, law_of, state_of
 
 import manip_learn as ml
 from manip_learn.control.law import ACROSS, SCALED_BELOW, STALLED_BELOW
@@ -122,27 +122,22 @@ def test_both_engines_agree_in_every_state(name, robot_of, monkeypatch):
     assert compared > 0.5 * LAWS * STATES and words <= set(seen), seen
 
 
-def reaching(robot: ml.Robot, rng: np.random.Generator) -> ml.ResolvedRateController:
-    """A law that is all compiled: two oblique rows towards a point that may be out of reach."""
-    features = ml.FrameJacobian(robot, tip_of(robot.name), "xyz")
-    rows = oblique(features, 2, rng)
-    target = features.coordinates(robot.random_configuration(rng)) * rng.choice([1.0, 1.5])
-    return ml.ResolvedRateController(rows, ml.PointAttractor(target), ml.ManipulabilityAscent(rows))
-
-
 def test_a_start_outside_of_all_bounds_is_none(robot_of, rng):
     """No encoder says that: it is refused in a table as the servo loop refuses it, and the others are done."""
     robot = robot_of("sawyer")
     starts = np.stack([robot.positions(robot.random_configuration(rng)) for _ in range(4)])
     starts[2, 0] = 1e3
-    assert ml.simulate(robot, reaching(robot, rng), starts, 0.1, 0.01)[2].status[0] is ml.Status.INVALID_INPUT
+    assert (
+        ml.simulate(robot, servo_cases.law_of(robot, "sawyer"), starts, 0.1, 0.01)[2].status[0]
+        is ml.Status.INVALID_INPUT
+    )
 
 
 @built
 def test_the_engine_is_named_copied_and_pickled(robot_of, rng):
     """`engine` says which; other limits make another one; copies work elsewhere."""
     robot = robot_of("sawyer")
-    law, q = reaching(robot, rng), robot.neutral() + 0.3
+    law, q = servo_cases.law_of(robot, "sawyer"), robot.neutral() + 0.3
     assert law.engine == "native"
     slow = law.with_limits(ml.Limits(robot, velocity=0.01))
     assert slow.engine == "native" and np.abs(slow(q).velocity).max() <= 0.01 < np.abs(law(q).velocity).max()

@@ -38,11 +38,6 @@ def smooth(rng: np.random.Generator, time: np.ndarray, n: int, size: float) -> n
     return size * np.sum(np.sin(w * time[:, None, None] + phase), axis=1) / 3.0
 
 
-def middle(robot: ml.Robot, rng: np.random.Generator) -> np.ndarray:
-    """A posture in the middle of the limits."""
-    return robot.configuration(0.5 * robot.positions(robot.random_configuration(rng)))
-
-
 def test_an_object_is_a_floating_joint_on_the_root_link(robot: ml.Robot) -> None:
     """Six more coordinates without limits, no tip; the pose of its frame is what the six numbers say. Empty, taken,
     repeated or reserved names are refused.
@@ -145,7 +140,8 @@ def on_mechanism(features: ml.MechanismRows, rng: np.random.Generator, n: int = 
     """Recordings with 0.1 mrad of noise in which loosely held rows stay as they are; all else moves as it likes."""
     robot, out, kept, time = features.robot, [], None, np.arange(250) * 0.02
     for k in range(n):
-        push, q, path = smooth(rng, time, robot.nv, 0.5), middle(robot, rng), []
+        push, path = smooth(rng, time, robot.nv, 0.5), []
+        q = robot.configuration(0.5 * robot.positions(robot.random_configuration(rng)))
         kept = features.coordinates(q) if kept is None else kept
         for i in range(-60, len(time)):  # at first it goes to the mechanism
             for _ in range(2):

@@ -124,7 +124,7 @@ def written(name: str, folder: Path) -> dict[str, Any]:
 
 def a_robot(name: str, folder: Path) -> dict[str, Any]:
     """Its summary, kinematics, limits and shapes."""
-    robot = named_robot(name, folder)
+    robot = named_robot(name)
     tip, q = TIPS.get(name, robot.frame_names[-1]), robot.random_configuration(np.random.default_rng(1))
     is_drawn = name in ("sawyer", "panda", "ur5")
     return {
@@ -139,7 +139,7 @@ def a_robot(name: str, folder: Path) -> dict[str, Any]:
 
 def some_rows(name: str, folder: Path) -> dict[str, Any]:
     """Features of all kinds, their gradients, and the manipulability with its gradients."""
-    robot, tip, rng = named_robot(name, folder), TIPS[name], np.random.default_rng(2)
+    robot, tip, rng = named_robot(name), TIPS[name], np.random.default_rng(2)
     about: dict[str, Any] = {"axis": (0.6, 0.0, 0.8), "point": (0.3, 0.1, 0.2)}
     kinds: dict[str, ml.FeatureMap] = {
         **{reference: ml.FrameJacobian(robot, tip, "pose", reference) for reference in ("world", "local")},
@@ -166,7 +166,7 @@ def some_rows(name: str, folder: Path) -> dict[str, Any]:
 
 def two_rows(name: str, folder: Path) -> tuple[ml.Robot, ml.FrameJacobian, ml.Constraint]:
     """A robot, the position of its tip, and a constraint of two rows of it."""
-    robot = named_robot(name, folder)
+    robot = named_robot(name)
     features = ml.FrameJacobian(robot, TIPS[name], "x y" if name == "planar3" else "xyz")
     return robot, features, ml.Constraint(np.eye(2, features.n_rows), features)
 
@@ -208,7 +208,7 @@ def a_servo_loop(name: str, folder: Path) -> dict[str, Any]:
 
 def a_way(kind: str, folder: Path) -> dict[str, Any]:
     """A mechanism done from a posture, and its plan."""
-    robot, tip = named_robot("panda", folder), TIPS["panda"]
+    robot, tip = named_robot("panda"), TIPS["panda"]
     ready, hand = np.array([0.0, -0.5, 0.0, -2.0, 0.0, 1.7, 0.8]), ml.FrameJacobian(robot, tip)
     beside = robot.position(ready, tip) + np.array([0.0, 0.4, 0.0])
     rows, features, far = {

@@ -5,12 +5,13 @@ from __future__ import annotations
 import json
 import re
 from functools import cache
+from typing import Any
 
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
-from shown_motions import Thing, recordings
+from task_sets import out_and_back
 
 import manip_learn as ml
 from manip_learn.cli import main
@@ -20,9 +21,9 @@ HOME = (0.2, -0.4, 0.1, -2.1, 0.1, 1.8, 0.6)
 
 
 @cache
-def two_tasks() -> tuple[ml.Robot, str, ml.ConstraintLearner, list[Thing], list[list[float]], list[ml.Trajectory]]:
+def two_tasks() -> tuple[ml.Robot, str, ml.ConstraintLearner, list[Any], list[list[float]], list[ml.Trajectory]]:
     """A drawer and then a table, in each recording."""
-    robot, tip, demos, things, ways = recordings(("drawer", "table"), "panda", 4200)
+    robot, tip, demos, things, ways = out_and_back(("drawer", "table"), "panda", 4201)
     maps = [ml.FrameJacobian(robot, tip, "xyz", reference) for reference in ("world", "local")]
     return robot, tip, ml.ConstraintLearner(maps).fit(demos), things, ways, demos
 
@@ -60,7 +61,7 @@ def test_both_tasks_are_done_in_order():
     assert again.is_done and [step.kind for step in again.steps] == ["reach", "way", "reach", "way", "reach"]
     starts = [a for name, a, _ in again.rollout.phases if name.endswith(": way")]
     for start, thing in zip(starts, things, strict=True):
-        assert np.linalg.norm(place_at(again, tip, start) - thing.hold) < 2e-3
+        assert np.linalg.norm(place_at(again, tip, start) - thing.handle) < 2e-3
     shown, first = learner.skill_.steps[1].shown, int(np.searchsorted(again.rollout.time, starts[0] - 1e-9))
     hand = robot.pose(again.rollout.q[first], tip)[:3, :3]
     turned = np.linalg.norm(Rotation.from_matrix(hand @ shown.orientation.T).as_rotvec())
@@ -77,11 +78,11 @@ def test_fixtures_that_stand_elsewhere():
     _, tip, learner, things, _, _ = two_tasks()
     T = np.eye(4)
     T[:3, :3] = Rotation.from_rotvec([0.0, 0.0, 0.2]).as_matrix()
-    T[:3, 3] = things[0].hold - T[:3, :3] @ things[0].hold + [0.03, -0.04, 0.02]
+    T[:3, 3] = things[0].handle - T[:3, :3] @ things[0].handle + [0.03, -0.04, 0.02]
     again = ml.repeat(learner.skill_, HOME, T)
     ways = [(a, b) for name, a, b in again.rollout.phases if name.endswith(": way")]
     for (start, _), thing in zip(ways, things, strict=True):
-        assert np.linalg.norm(place_at(again, tip, start) - (T[:3, :3] @ thing.hold + T[:3, 3])) < 2e-3
+        assert np.linalg.norm(place_at(again, tip, start) - (T[:3, :3] @ thing.handle + T[:3, 3])) < 2e-3
     start, end = (place_at(again, tip, t) for t in ways[0])
     assert (end - start) / np.linalg.norm(end - start) @ T[:3, :3] @ things[0].axis > 0.9999
 
@@ -112,21 +113,24 @@ class Arm:
 @pytest.mark.parametrize("by", [pytest.param("position", marks=pytest.mark.slow), "effort"])
 def test_a_gripper_closes_at_the_handle_and_opens_at_the_end_of_the_way(by, tmp_path):
     """Learnt from the finger's joint or its effort; the driver is told where the hand is there; the finger goes too."""
-    _, tip, demos, (thing,), _ = recordings(("drawer",), "panda", 70000)
+    _, tip, demos, (thing,), _ = out_and_back(("drawer",), "panda", 70000)
     robot, guided = ml.load_robot("panda"), []
     assert robot.joint_names[-1] == "panda_finger_joint1"
-    for demo in demos:
-        at = [np.linalg.norm(robot.position([*q, 0.0], tip) - thing.hold) < 2e-3 for q in demo.q]
+    for number, demo in enumerate(demos):
+        at = [np.linalg.norm(robot.position([*q, 0.0], tip) - thing.handle) < 2e-3 for q in demo.q]
         first, last = np.flatnonzero(at)[[0, -1]]
         holds = (np.arange(len(at)) >= first) & (np.arange(len(at)) <= last)
         finger = np.where(holds, 0.012, 0.038) if by == "position" else np.full(len(at), 0.02)
+        finger += 0.002 * (number == 0)  # another handle, once
         finger = np.convolve(np.pad(finger, 15, mode="edge"), np.ones(31) / 31, "valid")  # a third of a second
-        effort = np.column_stack([np.zeros((len(at), 7)), np.where(holds, 20.0, 0.5)]) if by == "effort" else None
+        effort = np.column_stack([np.zeros((len(at), 7)), np.where(holds, 20.0, 9.5)]) if by == "effort" else None
         q = np.column_stack([demo.q, finger])
         guided.append(ml.Trajectory(demo.time, q, None, robot.joint_names, effort=effort))
     skill = ml.ConstraintLearner(ml.FrameJacobian(robot, tip, "xyz")).fit(guided).skill_
     skill = ml.Skill.load(skill.save(tmp_path / "task.json"), robot)
     assert [step.gripper for step in skill.steps] == [None, "close", "open"]
+    told = [step.fingers["panda_finger_joint1"] for step in skill.steps[1:]]
+    assert_allclose(told, [0.012, 0.038] if by == "position" else 0.02, atol=1e-5)
     start = guided[0].q[0]
     again = ml.repeat(skill, start)
     phases, rollout = {name: (a, b) for name, a, b in again.rollout.phases}, again.rollout
@@ -140,7 +144,7 @@ def test_a_gripper_closes_at_the_handle_and_opens_at_the_end_of_the_way(by, tmp_
     done = ml.run(ml.ServoLoop(again.controller, dt=0.01), arm, rollout.time[-1] + 2.0)
     assert [word for word, _ in arm.told] == ["close", "open"] and "whether the handle stayed" in done.notes[0]
     (_, closed), (_, opened) = arm.told
-    assert np.linalg.norm(closed - thing.hold) < 2e-3
+    assert np.linalg.norm(closed - thing.handle) < 2e-3
     assert np.linalg.norm(opened - place_at(again, tip, end)) < 3e-3
 
 
@@ -212,15 +216,6 @@ def test_as_fast_as_was_shown_is_faster_only_where_that_is_asked_for():
     assert fastest[None] >= fastest["shown"]
     assert made[50.0].tip_speed == pytest.approx(made["shown"].tip_speed, rel=1e-6)
     assert {round(again.steps[-1].done, 3) for again in made.values()} == {round(shown.extent, 3)}
-
-
-@pytest.mark.parametrize("speed", [0.0, -0.1, np.nan, np.inf, "fast", "0.1", [0.1]])
-def test_a_tip_speed_that_is_none_is_refused(speed):
-    """With what was given and what is wanted; before anything is planned."""
-    _, _, skill, start = fast_drawer()
-    with pytest.raises(ml.ManipLearnError, match=r"tip_speed is .* positive number .* 0\.25, 'shown', or None") as told:
-        ml.repeat(skill, start, tip_speed=speed)  # type: ignore[arg-type]
-    assert repr(speed) in str(told.value)
 
 
 def test_what_cannot_be_done_is_refused_by_its_step():

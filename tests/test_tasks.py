@@ -13,8 +13,7 @@ from case import case
 from numpy.testing import assert_allclose, assert_array_equal
 
 import manip_learn as ml
-from manip_learn.control.policies import GROWTH
-from manip_learn.errors import ConfigurationError, ConstraintError, FeatureError, TargetError
+from manip_learn.errors import ConfigurationError, FeatureError, TargetError
 
 
 @pytest.fixture
@@ -54,8 +53,8 @@ def test_a_target_that_moves_counts_over_the_step(constraint, rng):
 
 def test_all_rows_are_driven_on_demand(constraint, robot_of):
     """Every row of the features where the target has a number for each, or is a pose, the same object at each call; not
-    for rows of a mechanism, nor for numbers along the rows of Lambda. A task does not change. Wrong sizes, NaN, text
-    and features without coordinates are refused with what would fit.
+    for rows of a mechanism, nor for numbers along the rows of Lambda. A task does not change. Wrong sizes and
+    features without coordinates are refused with what would fit.
     """
     for target in (np.zeros(3), np.eye(4)):
         task = ml.PointAttractor(target, driven="all")
@@ -68,11 +67,8 @@ def test_all_rows_are_driven_on_demand(constraint, robot_of):
     door, q = ml.Constraint(np.eye(2), ml.MechanismRows(robot_of("sawyer"), "right_hand", "radial axial")), np.zeros(7)
     silent = ml.Constraint([[1.0]], ml.CustomFeatures(lambda q: np.ones((1, 2)), ("a",), 2))
     two, four = ml.PointAttractor(np.zeros(2), driven="all"), ml.PointAttractor(np.zeros(4))
-    bad = ([np.nan, 0.0, 0.0], "there", [[1.0, 2.0], [3.0]], 5.0)
     for call, error, words in (
-        *((lambda x=x: ml.PointAttractor(x), TargetError, None) for x in bad),
         *((lambda of=of: two.rows(of), TargetError, "driven='held'") for of in (constraint, door)),
-        (lambda: ml.PointAttractor(np.zeros(3), driven="free"), TargetError, "'held' or 'all'"),
         (lambda: four.velocity(constraint, q, 0.0), TargetError, r"3 numbers \(x, y, z\), or 2"),
         (lambda: ml.PointAttractor([1.0]).velocity(silent, np.zeros(2), 0.0), FeatureError, "no task coordinates"),
     ):
@@ -90,7 +86,6 @@ def test_joint_attractor_goes_the_short_way(robot_of):
     policy = ml.JointAttractor([3.0, 0.0, 0.0, 0.0], robot=robot)
     assert policy([-3.0, 0.0, 0.0, 0.0])[0] == pytest.approx(6.0 - 2.0 * np.pi)
     for call, error, words in (
-        (lambda: ml.JointAttractor([np.nan, 0.0]), TargetError, "finite"),
         (lambda: ml.JointAttractor([0.0, 0.0])([0.0, 0.0, 0.0]), TargetError, "2 numbers"),
         (lambda: ml.JointAttractor([0.0, 0.0], robot=robot), ConfigurationError, None),
     ):
@@ -98,26 +93,26 @@ def test_joint_attractor_goes_the_short_way(robot_of):
             call()
 
 
-def test_ascent_is_the_gradient(constraint, rng):
+def test_ascent_is_the_gradient(constraint, planar3, rng):
     """gain grad mu as the paper prints it, or along the gradient g of log mu: gain |g| at most, and
-    max_speed / sqrt(1 + (dt max_speed |g| / GROWTH)^2).
+    max_speed / sqrt(1 + (dt max_speed |g| / 1.25)^2); 5e-4 rad/s at a singularity; the gain is 3 by default.
     """
+    stretched = ml.ManipulabilityAscent(ml.Constraint(np.eye(2), ml.FrameJacobian(planar3, "tip", "x y")))
+    assert np.linalg.norm(stretched(np.zeros(3))) == pytest.approx(5e-4, rel=1e-9)
     for q in 0.5 * rng.standard_normal((5, 7)):
         log, raw = (ml.ManipulabilityAscent(constraint, 0.7, logarithmic=x) for x in (True, False))
         slope = ml.log_manipulability_gradient(constraint, q)
         assert_allclose(log(q), 0.7 * slope, rtol=1e-9, atol=1e-12)
         assert_allclose(raw(q), 0.7 * ml.manipulability_gradient(constraint, q), rtol=1e-9, atol=1e-12)
         slope = ml.ManipulabilityAscent(constraint, 1.0, max_speed=None)(q)
+        assert_allclose(ml.ManipulabilityAscent(constraint, max_speed=None)(q), 3.0 * slope, rtol=1e-12)
         size = float(np.linalg.norm(slope))
         for gain, speed, dt in product((0.5, 3.0), (0.1, 1.0, 10.0, None), (0.001, 0.05, 2.0)):
-            longest = np.inf if speed is None else speed / np.sqrt(1.0 + (dt * speed * size / GROWTH) ** 2)
+            longest = np.inf if speed is None else speed / np.sqrt(1.0 + (dt * speed * size / 1.25) ** 2)
             got = ml.ManipulabilityAscent(constraint, gain, max_speed=speed)(q, 0.0, dt)
             assert_allclose(got, slope / size * min(gain * size, longest), rtol=1e-12)
     with pytest.raises(ConfigurationError):
         log(np.full(7, np.nan))
-    for wrong in (0.0, -1.0, np.nan):
-        with pytest.raises(ConstraintError, match="max_speed"):
-            ml.ManipulabilityAscent(constraint, max_speed=wrong)
 
 
 @pytest.mark.parametrize("name", ["gantry", "wrist", "panda"])
@@ -148,8 +143,7 @@ def test_weighted_sum(constraint, robot_of, rng):
     assert_allclose(inner(q), 0.5 * a(q) + 2.0 * b(q))
     assert_allclose(inner(q, 0.0, 0.1), 0.5 * a(q) + 2.0 * b(q, 0.0, 0.1))
     assert_allclose(ml.WeightedPolicies([inner, a], [3.0, 1.0])(q), 3.0 * inner(q) + a(q))
-    for policies, weights in (([], None), ([a], [1.0, 2.0]), ([a], [-1.0]), ([a], [np.nan])):
-        with pytest.raises(ConfigurationError):
-            ml.WeightedPolicies(policies, weights)
+    with pytest.raises(ConfigurationError):
+        ml.WeightedPolicies([])
     with pytest.raises(TargetError, match="7, 3"):
         ml.WeightedPolicies([a, ml.ZeroPolicy(3)])(q)

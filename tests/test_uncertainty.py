@@ -45,10 +45,7 @@ def learnt(demos, truth, **settings):
 
 @pytest.mark.parametrize(
     ("make", "zeros", "seeds", "most", "settings"),
-    [
-        (held, 0.1, range(20), 1.0, {"links": 0.0}),
-        (noisy, 0.0, range(7000, 7024), 0.85, {}),
-    ],
+    [(held, 0.1, range(20), 1.0, {"links": 0.0}), (noisy, 0.0, range(7000, 7024), 0.85, {})],
 )
 def test_the_error_is_within_what_is_stated(make, zeros: float, seeds: range, most: float, settings):
     """Zeros off by what the learner was told: angle and mu are within what is stated in one of two of 20 sets at least,
