@@ -235,7 +235,7 @@ class LoopRules:
         goal = robot.integrate(measured, -load) if goal is None else goal
         away, acceleration = robot.difference(sent, goal), np.minimum(limits.acceleration, 1e6)
         far = float(np.max(np.abs(away) / acceleration))  # [s^2] at unit acceleration
-        if far > 0.5 * dt * dt:
+        if far > 0.5 * dt * dt or far > 0.0 and speed > dt:  # the last step brakes no harder than the limits either
             direction = away / far
             fastest = float(np.min(limits.velocity / np.maximum(np.abs(direction), 1e-12)))
             stopping = float(stopping_speed(np.array([far]), np.ones(1), dt)[0])

@@ -179,7 +179,7 @@ class ConstraintLearner:
         for features in self._feature_maps:
             if not isinstance(features, FeatureMap):
                 raise FeatureError(f'features must be e.g. FrameJacobian(robot, frame="tool"), got {an(features)}')
-            if s is not None and not 1 <= s <= (most := min(features.n_rows, features.nv)):
+            if s is not None and not (most := min(features.n_rows, features.nv)) >= s >= 1:
                 raise NumberOfConstraintsError(s, most, repr(features))
 
     def fit(self, demonstrations: Given, *others: object, client: Any = None, progress: Progress | None = None) -> Self:
