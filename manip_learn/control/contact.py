@@ -53,7 +53,8 @@ class Contact:
         max_axial_force: Largest force on the hand along the rows that the task drives (`Task.driven_rows`) [N]; "auto"
             takes 1.5 times the force in the demonstrations, if efforts were recorded (`Shown.force`), but at least
             `max_lateral_force`, and 60 N otherwise. A hand that was moving and stops counts as blocked as soon as the
-            force has risen by `max_lateral_force`.
+            force has risen by `max_lateral_force`, if its joints moved by more than 2.5e-4 rad in 10 ms (about 20 mm/s
+            at the hand); a slower one is stopped at `max_axial_force`.
         latency: Longest delay of the arm [s]; "auto" measures it, up to 0.2 s.
         resolution: Force that cannot be distinguished from friction, backlash and noise [N]; "auto" measures it. The
             arm is stopped at no smaller force.
