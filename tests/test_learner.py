@@ -294,7 +294,9 @@ def test_a_fit_forgets_the_one_before_and_keeps_nothing_of_the_callers():
     arrays = [(t.time.copy(), t.q.copy(), np.array(t.u)) for t in motions(True)]
     given = ml.Demonstrations([ml.Trajectory(*array, JOINTS) for array in arrays], ["the first second was cut off"])
     found = learner("null-space").fit(motions(True, "place", seed=3))
-    assert found.fit(given) is found and "the first second was cut off" in found.report_.notes
+    shares: list[float] = []
+    assert found.fit(given, progress=lambda _stage, share: shares.append(share)) is found
+    assert shares == sorted(shares) and shares[-1] == 1.0 and "the first second was cut off" in found.report_.notes
     for (time, q, u), t in zip(arrays, motions(True), strict=True):
         for array, kept in ((time, t.time), (q, t.q), (u, t.u)):
             assert_array_equal(array, kept)
