@@ -232,21 +232,6 @@ def row_space_angles(stack: Float[np.ndarray, "n s p"], M: Float[np.ndarray, "s 
     return np.arctan2(sines[:, 0], cosines[:, -1])
 
 
-def batch_row_spaces(A: Float[np.ndarray, "n s nv"]) -> tuple[Float[np.ndarray, "n nv nv"], Float[np.ndarray, "n s s"]]:
-    """Compute bases of the row and null spaces of a stack of matrices, by QR decompositions A_n^T = Q_n[:, :s] R_n.
-
-    The basis of the null space is Z_n = Q_n[:, s:], and the pseudo-inverse A_n^+ = Q_n[:, :s] R_n^{-T}.
-
-    Args:
-        A: Stack of n constraint matrices (n, s, nv).
-
-    Returns:
-        The orthogonal matrices Q_n (n, nv, nv) and the upper triangular matrices R_n (n, s, s).
-    """
-    Q, R = row_bases(A.transpose(2, 1, 0), A.shape[2])
-    return np.ascontiguousarray(Q.transpose(2, 0, 1)), np.ascontiguousarray(R.transpose(2, 0, 1))
-
-
 def row_bases(
     columns: Float[np.ndarray, "nv s n"], size: int | None = None
 ) -> tuple[Float[np.ndarray, "nv k n"], Float[np.ndarray, "s s n"]]:
