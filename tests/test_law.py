@@ -121,6 +121,15 @@ def test_bounds_have_precedence_over_rows(rng):
         np.testing.assert_array_equal(u, nearest_within(wish, W, bounds, None))
 
 
+def test_the_joint_named_is_furthest_beyond_its_bound(sawyer):
+    """Of two joints at their bounds, the one whose desired velocity exceeds its bound by more, in both directions."""
+    limits = ml.Limits(sawyer, velocity=[1.0, 2.0, 1.0, 1.0, 1.0, 1.0, 1.0])
+    bounds = limits.bounds(0.5 * (sawyer.position_lower + sawyer.position_upper), 0.01, None)
+    for sign in (1.0, -1.0):
+        desired = sign * np.array([3.0, 2.5, 0.0, 0.0, 0.0, 0.0, 0.0])
+        assert bounds.binding(np.clip(desired, bounds.low, bounds.high), desired)[0] == 0
+
+
 @pytest.mark.parametrize("name", ["sawyer", "gantry"])
 def test_the_command_solves_the_program_of_the_docstring(name, robot_of, rng):
     """Held rows weigh 1 / ACROSS^2, the speed along the way 1 / ALONG^2, the policy 1: SciPy's minimum in the box."""

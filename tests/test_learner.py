@@ -51,6 +51,9 @@ def test_the_drawer():
     wrist = ml.ConstraintLearner(ml.FrameJacobian(features.robot, "right_hand")).fit(demos[:25]).report_
     assert 2.0 < wrist.gap < 10.0 and wrist.uncertainty_deg > 0.3 and any("weak gap" in w for w in wrist.warnings)
     usual = ml.ConstraintLearner(features).fit(demos[:5]).report_
+    two = ml.ConstraintLearner(features).fit(demos[:2]).report_  # which agree, and whose errors are known from both
+    assert two.n_constraints == 2 and 0.2 < two.uncertainty["noise"] / usual.uncertainty["noise"] < 5.0
+    assert two.mechanism.uncertainty["axis"] == pytest.approx(two.uncertainty_deg, rel=0.1)
     least = min(row.strength for row in usual.row_evidence[:2])
     strict = ml.ConstraintLearner(features, strength=0.2 * least).fit(demos[:5]).report_
     assert strict.n_constraints == usual.n_constraints == 2

@@ -259,12 +259,3 @@ def test_what_can_be_kept_clear(robot_of):
     with pytest.raises(ManipLearnError):
         ml.SelfCollision(robot_of("gantry"))
     assert ml.Limits(robot_of("gantry"), clear_of=ml.Scene(floor=-3.0)).barriers.clear is not None
-
-
-def test_the_joint_named_is_furthest_beyond_its_bound(sawyer):
-    """Of two joints at their bounds, the one whose desired velocity exceeds its bound by more, in both directions."""
-    limits = ml.Limits(sawyer, velocity=[1.0, 2.0, 1.0, 1.0, 1.0, 1.0, 1.0])
-    bounds = limits.bounds(0.5 * (sawyer.position_lower + sawyer.position_upper), 0.01, None)
-    for sign in (1.0, -1.0):
-        desired = sign * np.array([3.0, 2.5, 0.0, 0.0, 0.0, 0.0, 0.0])
-        assert bounds.binding(np.clip(desired, bounds.low, bounds.high), desired)[0] == 0
