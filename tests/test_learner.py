@@ -48,6 +48,8 @@ def test_the_drawer():
         "Direction known to 0.11 degrees."
     )
     assert 0.5 * error < report.uncertainty["noise"] < 2.0 * error and 0.001 < report.uncertainty_deg < 0.2
+    shown = learner.constraint_.shown
+    assert shown is not None and shown.path[0] == shown.time[0] == 0.0 and shown.path[-1] > 0.15
     wrist = ml.ConstraintLearner(ml.FrameJacobian(features.robot, "right_hand")).fit(demos[:25]).report_
     assert 2.0 < wrist.gap < 10.0 and wrist.uncertainty_deg > 0.3 and any("weak gap" in w for w in wrist.warnings)
     usual = ml.ConstraintLearner(features).fit(demos[:5]).report_
@@ -283,6 +285,7 @@ def test_a_clean_motion_is_learnt(name: str):
     report, selection = found.report_, found.constraint_.selection
     assert degrees(found, TWO_ROWS) <= accuracy and not report.warnings
     assert_allclose(selection @ selection.T, np.eye(2), rtol=0, atol=1e-12)
+    assert not selection.flags.writeable
     assert found.constraint_.features is PLANAR and report.row_names == PLANAR.row_names and report.sentence
     assert (report.n_constraints, report.n_samples, report.n_trajectories) == (2, given.n_samples, len(given))
     assert_allclose(selection @ np.array(report.free_directions).T, 0.0, atol=1e-9)

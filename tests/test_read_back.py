@@ -145,6 +145,8 @@ def test_urscript_computes_the_task_frame(robot):
                 )
                 for held, limit in zip(program.variables["selection"], program.variables["limits"], strict=True):
                     assert limit == (0.25 if held else 0.01)
+    turns_only = ml.Constraint(np.eye(6)[:5], ml.FrameJacobian(robot, EVIL, "pose"))
+    assert "p[0, 0, 0, 0, 0, 0.174533]" in urscript(turns_only, ways[0])  # a first move to try, by ten degrees
     text = urscript(constraints["no"], ways[0])
     code = [line for line in text.splitlines() if not line.strip().startswith("#")]
     assert "tip" not in "".join(code).replace("manip_learn_2e5_tip_no_end", ""), "a name of the robot in the program"
