@@ -6,8 +6,9 @@
     python benchmarks/mutants.py --since main       lines changed since a revision
     python benchmarks/mutants.py manip_learn/linalg.py  whole files
 
-Each fault is tried with the test files that cover its line most, and in these with the tests that reach it. Those
-that nobody notices are listed with what the function around them promises; fewer than LEAST noticed is a failure.
+Each fault is tried with the test files that reach its line and cover most of its module, and in these with the tests
+that reach the line. Those that nobody notices are listed with what the function around them promises; fewer than LEAST
+noticed is a failure.
 """
 
 from __future__ import annotations
@@ -147,13 +148,12 @@ class Covered:
 
     def __init__(self, folder: Path):
         self.seconds: dict[str, float] = json.loads((folder / "seconds.json").read_text(encoding="utf-8"))
-        self.cases = Counter[str](json.loads((folder / "cases.json").read_text(encoding="utf-8")))
         self.data = CoverageData(str(folder / "coverage"))
         self.data.read()
         self.files = {f[f.rindex("manip_learn/") :]: f for f in self.data.measured_files() if "manip_learn/" in f}
 
     def tests_of(self, file: str, line: int) -> list[str]:
-        """The tests that reach a line, of the files that do so with the most cases, quickest first; [] if none does."""
+        """The tests that reach a line, of the files that cover most of its module, quickest first; [] if none does."""
         by_line = self.data.contexts_by_lineno(self.files.get(file, ""))
         reached = by_line.get(line) or by_line.get(max((n for n in by_line if n < line), default=0), [])
         own = defaultdict[str, set[str]](set)
@@ -163,10 +163,9 @@ class Covered:
         for test_file, names in own.items():
             if not all(re.fullmatch(r"\w+\.test_\w+", n) for n in names):  # a fixture, whose tests are not known
                 own[test_file] = {""}
-        tests = {f: [f"{f}::{n.rpartition('.')[2]}" if n else f for n in sorted(names)] for f, names in own.items()}
-        size = {f: sum(self.cases[test] for test in named) for f, named in tests.items()}
-        most = sorted(sorted(tests, key=lambda f: -size[f])[:MOST_COVERING], key=lambda f: self.seconds[f])
-        return [test for f in most for test in tests[f]]
+        lines = Counter(f for contexts in by_line.values() for f in {c.partition("|")[0] for c in contexts})
+        most = sorted(sorted(own, key=lambda f: -lines[f])[:MOST_COVERING], key=lambda f: self.seconds[f])
+        return [f"{f}::{n.rpartition('.')[2]}" if n else f for f in most for n in sorted(own[f])]
 
 
 def cover(folder: Path, jobs: int) -> None:
@@ -175,12 +174,6 @@ def cover(folder: Path, jobs: int) -> None:
     folder.mkdir(parents=True)
     rules = folder / "rules"
     rules.write_text(COVERAGE + f"data_file = {folder / 'coverage'}\n", encoding="utf-8")
-    listed = subprocess.run([sys.executable, "-m", *PYTEST, "--collect-only"], cwd=ROOT, capture_output=True, text=True)
-    found = [line.partition("[")[0] for line in listed.stdout.splitlines() if "::" in line]
-    cases = Counter(
-        name for test in found for name in (test, test.partition("::")[0])
-    )  # of a function, and of its file
-    (folder / "cases.json").write_text(json.dumps(cases), encoding="utf-8")
     seconds = dict[str, float]()
 
     def alone(test_file: str) -> None:

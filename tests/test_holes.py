@@ -63,3 +63,12 @@ def test_what_is_no_hole_is_not_named(planar3: ml.Robot) -> None:
         notes, read = notes_of(ml.Trajectory(time, q, joint_names=("q1", "q2", "q3")), planar3)
         assert not any("no new posture" in n for n in notes), notes
         assert len(read) == 1 and len(read[0]) == len(time)
+
+
+def test_many_holes_are_counted(planar3: ml.Robot) -> None:
+    """Five are told, the others counted."""
+    kept = np.ones(len(TIME), dtype=bool)
+    for begin in np.arange(1.0, 7.0, 0.8):
+        kept &= (TIME <= begin) | (TIME >= begin + 0.495)
+    (note,) = notes_of(ml.Trajectory(TIME[kept], motion()[kept], joint_names=("q1", "q2", "q3")), planar3)[0]
+    assert note.count(" s from ") == 5 and ", and 3 holes more:" in note, note

@@ -50,6 +50,7 @@ def test_the_drawer():
     assert 0.5 * error < report.uncertainty["noise"] < 2.0 * error and 0.001 < report.uncertainty_deg < 0.2
     shown = learner.constraint_.shown
     assert shown is not None and shown.path[0] == shown.time[0] == 0.0 and shown.path[-1] > 0.15
+    assert all(np.all(np.diff(take.time) > 0.0) for take in learner.skill_.steps[-1].takes)
     wrist = ml.ConstraintLearner(ml.FrameJacobian(features.robot, "right_hand")).fit(demos[:25]).report_
     assert 2.0 < wrist.gap < 10.0 and wrist.uncertainty_deg > 0.3 and any("weak gap" in w for w in wrist.warnings)
     usual = ml.ConstraintLearner(features).fit(demos[:5]).report_

@@ -301,6 +301,8 @@ def test_wrong_units_are_named(robot):
     arm = Arm(ml.ServoLoop(law_of(robot, "sawyer")), start_of(robot))
     assert arm.loop.update(np.degrees(arm.q), 0.0).status is INVALID
     assert "in degrees? It must be in radians" in arm.loop.stopped_by
+    assert arm.loop.update(arm.q + 1e5, DT).status is INVALID  # no angle in degrees either
+    assert "another unit or order of the joints, or another robot?" in arm.loop.stopped_by
     arm.loop.reset(arm.q)
     assert [arm.loop.update(arm.q, 1.0 * k).status for k in range(5)][1:] == [STALE] * 4
     assert "advanced by 1, in milliseconds? It must be in seconds" in arm.loop.stopped_by
