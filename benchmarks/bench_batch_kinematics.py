@@ -16,7 +16,7 @@ import pytest
 from timing import keep, rounds_of, summary
 
 from manip_learn.constraint.constraint import Constraint
-from manip_learn.constraint.features import FrameJacobian
+from manip_learn.constraint.features.frame_jacobian import FrameJacobian
 from manip_learn.constraint.manipulability import manipulability_batch
 from manip_learn.robot import Robot, load_robot
 

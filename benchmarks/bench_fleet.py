@@ -20,7 +20,7 @@ from scale_motions import motions
 from scipy.interpolate import make_interp_spline
 from timing import Ratio, keep
 
-from manip_learn.constraint.features import FrameJacobian
+from manip_learn.constraint.features.frame_jacobian import FrameJacobian
 from manip_learn.learning import ConstraintLearner
 from manip_learn.learning.audit import audit_episodes
 from manip_learn.learning.table import MOST_SAMPLES, dask_client

@@ -24,7 +24,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from manip_learn.constraint.features import FrameJacobian
+from manip_learn.constraint.features.frame_jacobian import FrameJacobian
 from manip_learn.learning import ConstraintLearner
 from manip_learn.recordings.trajectory import Demonstrations, Trajectory
 from manip_learn.robot import load_robot

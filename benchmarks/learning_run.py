@@ -16,7 +16,7 @@ from make_planar3 import planar_arm_urdf
 from peak_memory import peak_megabytes
 from scale_motions import motions
 
-from manip_learn.constraint.features import FrameJacobian
+from manip_learn.constraint.features.frame_jacobian import FrameJacobian
 from manip_learn.learning import ConstraintLearner
 from manip_learn.linalg import row_space_angle
 from manip_learn.recordings.trajectory import Demonstrations, Trajectory

@@ -1,16 +1,10 @@
 """Public names and the modules that they are loaded from at first use."""
 
 from .constraint.constraint import Constraint
-from .constraint.features import (
-    CentreOfMass,
-    CurveRows,
-    CustomFeatures,
-    FeatureMap,
-    FrameJacobian,
-    MechanismRows,
-    RelativeFrameJacobian,
-    Stacked,
-)
+from .constraint.features.feature_map import FeatureMap
+from .constraint.features.frame_jacobian import FrameJacobian, RelativeFrameJacobian
+from .constraint.features.mechanism_rows import CurveRows, MechanismRows
+from .constraint.features.other_features import CentreOfMass, CustomFeatures, Stacked
 from .constraint.manipulability import (
     log_manipulability_gradient,
     manipulability,

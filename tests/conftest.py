@@ -26,7 +26,7 @@ if os.environ.get("CHECK_SHAPES", "0") != "0":
 import numpy as np  # noqa: E402
 
 from manip_learn.cli import main  # noqa: E402
-from manip_learn.constraint.features import FrameJacobian  # noqa: E402
+from manip_learn.constraint.features.frame_jacobian import FrameJacobian  # noqa: E402
 from manip_learn.robot.loading import load_robot  # noqa: E402
 from manip_learn.robot.robot import Robot  # noqa: E402
 

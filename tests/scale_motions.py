@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from manip_learn.constraint.features import FrameJacobian
+from manip_learn.constraint.features.frame_jacobian import FrameJacobian
 from manip_learn.linalg import orthonormal_rows
 from manip_learn.recordings.trajectory import Demonstrations, Trajectory
 

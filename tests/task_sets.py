@@ -79,10 +79,8 @@ def out_and_back(
         )
         for begin, end, number in tape.windows:
             hands = np.array([built.pose(x)[:3, 3] for x in q[round(100 * begin) : round(100 * end) + 1]])
-            far, across = (
-                float(np.max(np.linalg.norm(hands - hands[0], axis=1))),
-                2.0 * getattr(things[number], "radius", 0.0),
-            )
+            far = float(np.max(np.linalg.norm(hands - hands[0], axis=1)))
+            across = 2.0 * getattr(things[number], "radius", 0.0)
             ways[number].append(2.0 * np.arcsin(far / across) if across else far)
     return built.robot, built.tip.name, demos, things, ways
 

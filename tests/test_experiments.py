@@ -14,7 +14,7 @@ from case import case
 from numpy.random import Generator
 from numpy.testing import assert_allclose
 
-from manip_learn.constraint.features import FrameJacobian
+from manip_learn.constraint.features.frame_jacobian import FrameJacobian
 from manip_learn.errors import ExperimentError, MissingExtraError, OutputError, UnknownNameError
 from manip_learn.experiments import reproduce, sawyer, singular_starts, table
 from manip_learn.experiments.metrics import manipulability_along, mie, nmie, policy_rmse, scale_free_nmie

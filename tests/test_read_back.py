@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 import manip_learn as ml
-from manip_learn.constraint.features import MechanismRows
+from manip_learn.constraint.features.mechanism_rows import MechanismRows
 from manip_learn.control.interop.force_control import force_mode, urscript
 from manip_learn.recordings.saved_motion import motion_of_trajectory
 from manip_learn.recordings.writers.write_motion import write_motion

@@ -15,7 +15,8 @@ from test_playback import data_in, unpacked, waving
 import manip_learn as ml
 from manip_learn.commands import tables
 from manip_learn.commands.output import Answer
-from manip_learn.constraint.features import MechanismRows, RelativeFrameJacobian
+from manip_learn.constraint.features.frame_jacobian import RelativeFrameJacobian
+from manip_learn.constraint.features.mechanism_rows import MechanismRows
 from manip_learn.errors import RecordingError, TargetError
 from manip_learn.playback.replay_page import evidence_of
 from manip_learn.playback.scene_data import held_directions, mechanism_drawing

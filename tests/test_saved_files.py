@@ -21,7 +21,9 @@ from recording_formats import pq, table
 
 import manip_learn as ml
 from manip_learn.cli import main
-from manip_learn.constraint.features import CustomFeatures, FrameJacobian, MechanismRows
+from manip_learn.constraint.features.frame_jacobian import FrameJacobian
+from manip_learn.constraint.features.mechanism_rows import MechanismRows
+from manip_learn.constraint.features.other_features import CustomFeatures
 from manip_learn.control.rollout import Rollout, written_constraint
 from manip_learn.errors import ConstraintMismatchError, OutputError, RecordingError, advice_for_command
 from manip_learn.recordings.saved_motion import motion_of_trajectory

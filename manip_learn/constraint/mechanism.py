@@ -356,7 +356,7 @@ class Mechanism:
             ConstraintError: The axis or point of the mechanism is not known.
             UnknownNameError: The robot has no such frame.
         """
-        maps = import_module("manip_learn.constraint.features")  # imports this module, so it is imported here
+        maps = import_module("manip_learn.constraint.features.mechanism_rows")  # which imports this module
         g, reference = self.located(), self.relative_to
         if self.curve is not None:  # no row describes the rotation rate of a hand that turns with a curve
             rows = KINDS["curve", "free" if self.orientation == "carried" else self.orientation].rows
@@ -432,9 +432,7 @@ class Mechanism:
         turns = np.vstack([turn, np.zeros_like(travel)])
         pitch = g.pitch if self.kind in ("hinge", "screw") else 0.0
         moves = np.vstack([pitch * turn, travel]) + np.cross(g.point, turns)
-        half_hand = (
-            0.1  # [m] from an axis in the hand: half the length of a hand, also used for the rotations of a path
-        )
+        half_hand = 0.1  # [m] from an axis in the hand: half its length, also used for the rotations of a path
         sizes = (half_hand if self.in_fingers else self.radius or 1.0, 1.0) if self.kind == "cylinder" else (1.0,)
         screws = np.vstack([moves, rest]), np.vstack([turns, rest]), np.vstack([still, spin])
         options: dict[str, Any] = {"centre": g.point, "curve": self.curve, "rows": self._weights, "sizes": sizes}

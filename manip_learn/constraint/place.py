@@ -29,7 +29,7 @@ from numpy.typing import ArrayLike
 from scipy.interpolate import CubicSpline
 
 from manip_learn.errors import FeatureError
-from manip_learn.robot.rotations import left_jacobian, rotation_matrix, rotation_vector, rotation_vectors, skew
+from manip_learn.robot import rotations as so3
 
 # unit of each row times a joint velocity
 AXIS_UNITS = {**dict.fromkeys(("x", "y", "z"), "m/s"), **dict.fromkeys(("rx", "ry", "rz"), "rad/s")}
@@ -92,7 +92,7 @@ def across(axis: Float[np.ndarray, " 3"]) -> Float[np.ndarray, "2 3"]:
     first[least] += 1.0
     x = np.array(first)
     x /= math.sqrt(x @ x)
-    return np.array([x, skew(axis) @ x])
+    return np.array([x, so3.skew(axis) @ x])
 
 
 def mechanism_weights(names: tuple[str, ...], place: Place, radius: float | None) -> PlaceWeights:
@@ -122,7 +122,8 @@ def mechanism_weights(names: tuple[str, ...], place: Place, radius: float | None
     """
     a, c, h = place.axis, place.point, place.pitch
     directions = dict(zip("12", across(a), strict=True))
-    fields = {"radial": np.eye(3) - np.outer(a, a), "tangential": skew(a), "spherical": np.eye(3), "helical": skew(a)}
+    fields = dict.fromkeys(("tangential", "helical"), so3.skew(a))
+    fields |= {"radial": np.eye(3) - np.outer(a, a), "spherical": np.eye(3)}
     constant, by_place = np.zeros((len(names), 6)), np.zeros((len(names), 6, 3))
     free = {i: (a, h) if x == "helical" else (np.zeros(3), 0.0) for i, x in enumerate(names) if x in fields}
     for i, name in enumerate(names):
@@ -139,7 +140,7 @@ def mechanism_weights(names: tuple[str, ...], place: Place, radius: float | None
         else:
             constant[i, :3] = e
         if name.startswith(("slide", "screw")):
-            by_place[i, 3:] = skew(e)
+            by_place[i, 3:] = so3.skew(e)
             constant[i, 3:] = np.cross(c, e) - (h * e if name == "screw" else 0.0)
     return PlaceWeights(constant, by_place, free if radius is None else {})
 
@@ -474,12 +475,12 @@ class Chart:
         self._size = math.sqrt(turn[0] @ turn[0]) if self._turns == 1 else 1.0
         self._axis = turn[0] / self._size
         if centre is None:  # the point of the axis nearest to the origin
-            centre = skew(self._axis).dot(travel[0]) / self._size if self._turns == 1 else np.zeros(3)
+            centre = so3.skew(self._axis).dot(travel[0]) / self._size if self._turns == 1 else np.zeros(3)
         self._centre, self._slide = centre, travel - np.cross(centre, turn)
         lever = self._p - centre
         self._held = -self._R.T @ lever  # the point of a carried hand at the centre, in the hand's axes
         self._out = lever - (lever @ self._axis) * self._axis if self._turns == 1 else lever
-        self._around = skew(self._axis).dot(self._out)
+        self._around = so3.skew(self._axis).dot(self._out)
 
     def coordinates(self, pose: Float[np.ndarray, "*n 4 4"], near: float = 0.0) -> Float[np.ndarray, "*n k"]:
         """Return the free coordinates of a hand, at one pose or along a motion.
@@ -492,16 +493,16 @@ class Chart:
             shape (k,) or (T, k) [m or rad].
         """
         p, Q = pose[..., :3, 3], pose[..., :3, :3] @ self._R.T
-        vectors = rotation_vector if pose.ndim == 2 else rotation_vectors
+        vectors = so3.rotation_vector if pose.ndim == 2 else so3.rotation_vectors
         n, s = self.n_ways, np.zeros((*p.shape[:-1], len(self.spin)))
         if self._curve is not None:
             s[..., 0] = self._curve.nearest(p.reshape(-1, 3)).reshape(p.shape[:-1]) - self._at
         elif self._turns > 1:
-            rotation = vectors(Q) if self._carried else _shortest_turn(self._out, p - self._centre)
+            rotation = vectors(Q) if self._carried else so3.shortest_turn(self._out, p - self._centre)
             s[..., :n] = rotation @ self.turn[:n].T
         elif self._turns:
             d = p - self._centre
-            angle = _turn_about(Q, self._axis) if self._carried else np.arctan2(d @ self._around, d @ self._out)
+            angle = so3.turn_about(Q, self._axis) if self._carried else np.arctan2(d @ self._around, d @ self._out)
             turns = round((near * self._size - float(angle.flat[0])) / (2.0 * math.pi))
             s[..., 0] = ((angle if angle.ndim == 0 else np.unwrap(angle)) + 2.0 * math.pi * turns) / self._size
             if n > 1:
@@ -510,7 +511,7 @@ class Chart:
             s[..., :n] = (p - self._p) @ self._slide[:n].T / np.sum(self._slide[:n] ** 2, axis=1)
         if n_spins := len(self.spin) - n:
             c = self.spin[n:]
-            s[..., n:] = vectors(Q) @ c.T if n_spins == 3 else _turn_about(Q, c[0])[..., None]
+            s[..., n:] = vectors(Q) @ c.T if n_spins == 3 else so3.turn_about(Q, c[0])[..., None]
         return s
 
     def pose(self, s: ArrayLike) -> Float[np.ndarray, "4 4"]:
@@ -529,14 +530,14 @@ class Chart:
             G = after @ before.T
             out[:3, 3] = c1 + G @ (place - c0)
         elif self._turns:
-            G = rotation_matrix(s @ self.turn)
+            G = so3.rotation_matrix(s @ self.turn)
             out[:3, 3] = self._centre + G.dot(place - self._centre) + s @ self._slide
         else:
             G, out[:3, 3] = None, place + s @ self._slide
         if self._carried and G is not None:
             out[:3, :3] = G.dot(self._R)
         elif self._spins:
-            out[:3, :3] = rotation_matrix(s @ self.spin).dot(self._R)
+            out[:3, :3] = so3.rotation_matrix(s @ self.spin).dot(self._R)
         return out
 
     def twist(self, s: ArrayLike, pose: Float[np.ndarray, "4 4"] | None = None) -> Float[np.ndarray, "6 k"]:
@@ -557,12 +558,12 @@ class Chart:
             turning = (np.cross(c1, c2) / (c1 @ c1))[:, None]
             K[:3, 0] = c1 + np.cross(turning[:, 0], p - c)
         elif self._turns:
-            turning = left_jacobian(s @ self.turn) @ turning if self._turns > 1 else turning
-            K[:3] -= skew(p - self._centre).dot(turning)
+            turning = so3.left_jacobian(s @ self.turn) @ turning if self._turns > 1 else turning
+            K[:3] -= so3.skew(p - self._centre).dot(turning)
         if self._carried:
             K[3:, : turning.shape[1]] = turning
         elif self._spins:
-            K[3:] = left_jacobian(s @ self.spin) @ self.spin.T
+            K[3:] = so3.left_jacobian(s @ self.spin) @ self.spin.T
         return K
 
     def _whole(self, s: ArrayLike) -> Float[np.ndarray, " k"]:
@@ -586,10 +587,10 @@ class Chart:
         """
         goal, out = self.pose(s), np.empty(6)
         rotation = pose[:3, :3] @ goal[:3, :3].T
-        out[:3], out[3:] = pose[:3, 3] - goal[:3, 3], rotation_vector(rotation)
+        out[:3], out[3:] = pose[:3, 3] - goal[:3, 3], so3.rotation_vector(rotation)
         if self._carried and self._turns:
             lever = goal[:3, :3] @ self._held
-            out[:3] += rotation.dot(lever) - lever - skew(out[3:]).dot(lever)
+            out[:3] += rotation.dot(lever) - lever - so3.skew(out[3:]).dot(lever)
         return out
 
     def heading(self, pose: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, " 6"]:
@@ -616,16 +617,3 @@ class Chart:
             shape (h,), one deviation per held row [m or rad].
         """
         return self._rows(pose[None, :3, 3])[0] @ self.error(pose, self.coordinates(pose))  # type: ignore[misc]
-
-
-def _turn_about(Q: Float[np.ndarray, "*n 3 3"], axis: Float[np.ndarray, " 3"]) -> Float[np.ndarray, "*n"]:
-    """Return the part of rotations about an axis [rad]; it is well determined up to half a turn."""
-    vee = np.stack([Q[..., 2, 1] - Q[..., 1, 2], Q[..., 0, 2] - Q[..., 2, 0], Q[..., 1, 0] - Q[..., 0, 1]], axis=-1)
-    return np.asarray(np.arctan2(vee @ axis, np.trace(Q, axis1=-2, axis2=-1) - Q @ axis @ axis))
-
-
-def _shortest_turn(before: Float[np.ndarray, " 3"], after: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 3"]:
-    """Return the rotation vectors of the shortest rotations from one direction to others [rad]."""
-    normal = np.cross(before, after)
-    sine = np.linalg.norm(normal, axis=-1, keepdims=True)
-    return normal * np.arctan2(sine, (after @ before)[..., None]) / np.maximum(sine, 1e-300)

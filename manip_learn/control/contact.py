@@ -90,10 +90,8 @@ class Contact:
         units = ("newtons", 'newtons or "auto"', 'seconds or "auto"', 'newtons or "auto"')
         for (name, value), unit in zip(values.items(), units, strict=False):  # a stiffness needs a robot to be checked
             is_auto = isinstance(value, str) and value == "auto" and "auto" in unit
-            is_size, zero = (
-                is_number(value) and 0.0 <= float(value) < math.inf,
-                "0 or " * (name in ("latency", "resolution")),
-            )
+            is_size = is_number(value) and 0.0 <= float(value) < math.inf
+            zero = "0 or " * (name in ("latency", "resolution"))
             if not (is_auto or (is_size and (value or zero))):
                 raise ConfigurationError(f"{name} must be {zero}a positive number of {unit}, got {value!r}")
 

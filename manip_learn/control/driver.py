@@ -372,9 +372,7 @@ class Shutdown:
                     return function(*arguments)
         except KeyboardInterrupt:
             self.stop("Ctrl-C", True)
-        except (
-            BaseException
-        ) as error:  # whatever it is, an arm in motion must brake: it is raised when the arm is at rest
+        except BaseException as error:  # whatever it is, an arm in motion must brake: it is raised at rest
             self.stop(f"the driver's {call}() failed: {type(error).__name__}: {error}")
             self.raised = self.raised if isinstance(error, Exception) else error
         return None

@@ -154,9 +154,8 @@ def drawn(case: SawyerCase, rng: Generator) -> tuple[Demonstrations, Demonstrati
     """
     n = 50
     if case.source == "model":
-        rest = np.deg2rad(
-            [-100.0, 30.0, -100.0, 40.0, -60.0, -70.0, 250.0]
-        )  # the paper's goal of the null-space policy
+        # the paper's goal of the null-space policy
+        rest = np.deg2rad([-100.0, 30.0, -100.0, 40.0, -60.0, -70.0, 250.0])
         settings = case.constraint, lambda q: rest - q, n, _POINTS, rng
         train, test = (paper.to_demonstrations(sawyer_arm(), _STEP, motions(*settings)) for _ in range(2))
         return train, test

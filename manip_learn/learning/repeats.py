@@ -183,9 +183,8 @@ class _Path:
 
         def distance(start: int, way: int) -> float | None:
             before, rest = (_Path(self.trajectory.part(part)) for part in (slice(start), slice(start, None)))
-            return rest.distance_from(
-                before, 1.0 - 2.0 * SLIGHT, way
-            )  # the noise of two joints leaves the path once in 50 samples
+            # the noise of two joints leaves the path once in 50 samples
+            return rest.distance_from(before, 1.0 - 2.0 * SLIGHT, way)
 
         way = 0 if alone else 1
         if distance(last, way) is None or (not alone and distance(last, -1) is not None):

@@ -529,11 +529,9 @@ class _Problem:
         holding = self.clear.for_grasps(marches.q[np.isfinite(marches.least[:, 0]), 0])
         clear = marches.where(holding)
         end, last, largest, posture = len(self.stations) - 1, clear.reached, 0.0, None
-        stopped_by, pair, helps = (
-            self._limiting_cause(marches),
-            self.contact if last == end else None,
-            tuple[str, ...](),
-        )
+        stopped_by = self._limiting_cause(marches)
+        pair = self.contact if last == end else None
+        helps = tuple[str, ...]()
         if last < marches.reached == end:
             pair, helps = self._blocking_pair(marches.q[marches.choices(end)[0]], holding)
         free = self.stations.with_rows(np.eye(6)[:3])

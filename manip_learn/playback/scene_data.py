@@ -11,9 +11,8 @@ import pinocchio as pin
 from jaxtyping import Float
 
 from manip_learn.constraint.constraint import Constraint
-from manip_learn.constraint.features import MechanismRows
 from manip_learn.constraint.features.frame_jacobian import AXES, PoseRows
-from manip_learn.constraint.features.mechanism_rows import WeighedVelocity
+from manip_learn.constraint.features.mechanism_rows import MechanismRows, WeighedVelocity
 from manip_learn.constraint.mechanism import Mechanism
 from manip_learn.constraint.place import across
 from manip_learn.constraint.shown import Intention, Shown

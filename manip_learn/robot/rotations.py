@@ -1,4 +1,5 @@
-"""Fast conversions between rotation matrices and rotation vectors: a few microseconds each, for control loops.
+"""Fast conversions between rotation matrices and rotation vectors: a few microseconds each, for control loops; and
+differences of poses.
 
 Also the left Jacobian of SO(3) and its inverse, which give the rates of rotation vectors (J. Sola et al., "A micro Lie
 theory for state estimation in robotics", equations (145) and (146)). The right Jacobian of a vector is the left
@@ -180,3 +181,62 @@ def left_jacobian_inverse(vector: Float[np.ndarray, " 3"]) -> Float[np.ndarray, 
             (a * z + y2, b * z - x2, rest + c * z),
         )
     )
+
+
+def pose_coordinates(pose: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, " 6"]:
+    """Return position and rotation vector of a pose.
+
+    Args:
+        pose: Homogeneous matrix (4, 4) [m].
+
+    Returns:
+        shape (6,): position [m], then rotation vector [rad], in the frame in which the pose is given.
+    """
+    return np.concatenate([pose[:3, 3], rotation_vector(pose[:3, :3])])
+
+
+def pose_error(
+    pose: Float[np.ndarray, "4 4"], goal: Float[np.ndarray, "4 4"], own_axes: bool
+) -> Float[np.ndarray, " 6"]:
+    """Return the displacement from a pose to a goal.
+
+    Args:
+        pose: Pose (4, 4) of a frame [m].
+        goal: Goal pose (4, 4) of this frame, in the same reference frame [m].
+        own_axes: True for components along the axes of the frame at `pose`, False for the axes of the reference frame.
+
+    Returns:
+        shape (6,): translation [m], then rotation vector [rad].
+    """
+    R = pose[:3, :3]
+    error = np.concatenate([goal[:3, 3] - pose[:3, 3], rotation_vector(goal[:3, :3].dot(R.T))])
+    return error.reshape(2, 3).dot(R).reshape(6) if own_axes else error
+
+
+def turn_about(Q: Float[np.ndarray, "*n 3 3"], axis: Float[np.ndarray, " 3"]) -> Float[np.ndarray, "*n"]:
+    """Return the part of rotations about an axis; it is well determined up to half a turn.
+
+    Args:
+        Q: One rotation matrix (3, 3), or several (n, 3, 3).
+        axis: Unit vector (3,), along the same axes.
+
+    Returns:
+        One angle per rotation, in [-pi, pi] [rad].
+    """
+    vee = np.stack([Q[..., 2, 1] - Q[..., 1, 2], Q[..., 0, 2] - Q[..., 2, 0], Q[..., 1, 0] - Q[..., 0, 1]], axis=-1)
+    return np.asarray(np.arctan2(vee @ axis, np.trace(Q, axis1=-2, axis2=-1) - Q @ axis @ axis))
+
+
+def shortest_turn(before: Float[np.ndarray, " 3"], after: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 3"]:
+    """Return the rotation vectors of the shortest rotations from one direction to others.
+
+    Args:
+        before: Direction (3,) of any length.
+        after: Direction (3,), or directions (n, 3).
+
+    Returns:
+        One rotation vector per direction, axis times angle [rad]; 0 for opposite directions.
+    """
+    normal = np.cross(before, after)
+    sine = np.linalg.norm(normal, axis=-1, keepdims=True)
+    return normal * np.arctan2(sine, (after @ before)[..., None]) / np.maximum(sine, 1e-300)

@@ -17,7 +17,6 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
-from manip_learn.constraint.features.frame_jacobian import pose_error
 from manip_learn.constraint.place import across
 from manip_learn.errors import ConfigurationError, MissingExtraError, counted, few
 from manip_learn.planning.clearance import hand_of, links_of
@@ -25,7 +24,7 @@ from manip_learn.planning.scene import Box, Scene
 from manip_learn.playback.appearance import kinematic_tree
 from manip_learn.robot.collision import collision_shapes, known_shapes
 from manip_learn.robot.robot import Robot
-from manip_learn.robot.rotations import rotation_matrix
+from manip_learn.robot.rotations import pose_error, rotation_matrix
 from manip_learn.robot.visuals.visual_shapes import Solid
 from manip_learn.teach.furniture import BODY, HANDLE, Board, door_boards, drawer_boards, facing, hinged
 

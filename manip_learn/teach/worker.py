@@ -138,7 +138,7 @@ def learn(robot: Robot, tip: str, said: Progress, *, files: list[str], file: str
     Returns:
         Answer for the page, with the phases of the recordings by file name.
     """
-    from manip_learn.constraint.features import FrameJacobian
+    from manip_learn.constraint.features.frame_jacobian import FrameJacobian
     from manip_learn.learning import ConstraintLearner
     from manip_learn.playback.palette import phase_kinds
     from manip_learn.playback.replay_page import evidence_of

@@ -36,20 +36,8 @@ from manip_learn.constraint.mechanism import (
 from manip_learn.constraint.place import AXES, AXIS_UNITS
 from manip_learn.errors import FeatureError, TargetError, an
 from manip_learn.linalg import null_basis, orthonormal_rows
+from manip_learn.robot import rotations as so3
 from manip_learn.robot.robot import Reference, Robot
-from manip_learn.robot.rotations import left_jacobian, left_jacobian_inverse, rotation_matrix, rotation_vector, skew
-
-
-def pose_coordinates(pose: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, " 6"]:
-    """Return position and rotation vector of a pose.
-
-    Args:
-        pose: Homogeneous matrix (4, 4) [m].
-
-    Returns:
-        shape (6,): position [m], then rotation vector [rad], in the frame in which the pose is given.
-    """
-    return np.concatenate([pose[:3, 3], rotation_vector(pose[:3, :3])])
 
 
 def goal_rotation(R: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "3 3"]:
@@ -68,24 +56,6 @@ def goal_rotation(R: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "3 3"]:
     if not error < 1e-3 or np.linalg.det(R) < 0.0:  # tolerate a matrix printed with few digits
         raise TargetError(f"the upper left 3 x 3 part of the pose is not a rotation matrix: {R.tolist()}")
     return R if error < 1e-12 else orthonormal_rows(R)
-
-
-def pose_error(
-    pose: Float[np.ndarray, "4 4"], goal: Float[np.ndarray, "4 4"], own_axes: bool
-) -> Float[np.ndarray, " 6"]:
-    """Return the displacement from a pose to a goal.
-
-    Args:
-        pose: Pose (4, 4) of a frame [m].
-        goal: Goal pose (4, 4) of this frame, in the same reference frame [m].
-        own_axes: True for components along the axes of the frame at `pose`, False for the axes of the reference frame.
-
-    Returns:
-        shape (6,): translation [m], then rotation vector [rad].
-    """
-    R = pose[:3, :3]
-    error = np.concatenate([goal[:3, 3] - pose[:3, 3], rotation_vector(goal[:3, :3].dot(R.T))])
-    return error.reshape(2, 3).dot(R).reshape(6) if own_axes else error
 
 
 class PoseRows(FeatureMap):
@@ -255,7 +225,7 @@ class PoseRows(FeatureMap):
         Returns:
             shape (p,) [m or rad], in the base frame or in the frame `relative_to`.
         """
-        return pose_coordinates(self.pose(q))[self._rows]
+        return so3.pose_coordinates(self.pose(q))[self._rows]
 
     def coordinates_jacobian(self, q: ArrayLike) -> Float[np.ndarray, "p nv"] | None:
         """Return the exact derivative dr/dq of `coordinates`; their rate is this matrix times u.
@@ -269,7 +239,7 @@ class PoseRows(FeatureMap):
         if self.only_linear:
             return None
         C = np.eye(6)  # d/dt coordinates = C (v, w), along the axes of the base
-        C[3:, 3:] = left_jacobian_inverse(rotation_vector(self.pose(q)[:3, :3]))
+        C[3:, 3:] = so3.left_jacobian_inverse(so3.rotation_vector(self.pose(q)[:3, :3]))
         return C[self._rows] @ self.twist_rows(q, False)
 
     def error_and_jacobian(self, target: ArrayLike, q: ArrayLike) -> ErrorAndRate:
@@ -295,22 +265,22 @@ class PoseRows(FeatureMap):
             return goal - self.placement(q)[0][self._rows], None  # fast path: no orientation is needed
         pose = self.pose(q)
         goal_pose, numbers = self._goal_pose(goal, pose)
-        error = pose_error(pose, goal_pose, self.own_axes)
+        error = so3.pose_error(pose, goal_pose, self.own_axes)
         if self.only_linear:
             return error[self._rows], None
         J = self.twist_rows(q, self.own_axes)
         # M J, with d/dt error = -M (v, w): the rotation rows turn by Jl^-1 or Jr^-1
-        M = left_jacobian_inverse(error[3:] if self.own_axes else -error[3:])
+        M = so3.left_jacobian_inverse(error[3:] if self.own_axes else -error[3:])
         rotations = [i - 3 for i in self._row_numbers if i >= 3]
         if numbers is not None and 0 < len(rotations) < 3:
             # the goal takes its other numbers from the frame and turns with it: dr/dt = Jl^-1(r) w changes the
             # unspecified part of the goal's vector by F, and thus e_rot by Jl^-1(e_rot) Jl(r*) F Jl^-1(r) w
             F = np.eye(3)
             F[rotations] = 0.0
-            carried = left_jacobian_inverse(error[3:]) @ left_jacobian(numbers[3:]) @ F
-            M -= carried @ left_jacobian_inverse(rotation_vector(pose[:3, :3]))
+            carried = so3.left_jacobian_inverse(error[3:]) @ so3.left_jacobian(numbers[3:]) @ F
+            M -= carried @ so3.left_jacobian_inverse(so3.rotation_vector(pose[:3, :3]))
         if self.own_axes:
-            J[:3] -= skew(error[:3]).dot(J[3:])
+            J[:3] -= so3.skew(error[:3]).dot(J[3:])
         J[3:] = M.dot(J[3:])
         return error[self._rows], J[self._rows]
 
@@ -331,9 +301,9 @@ class PoseRows(FeatureMap):
             if 0 < len(set(triple) & set(self.row_names)) < 3:
                 rows, remedy = " ".join(self.row_names), f"use all of {' '.join(triple)}, or pass a 4 x 4 pose"
                 raise TargetError(f"a target for the rows {rows} in the frame's own axes is ambiguous: {remedy}")
-        numbers = pose_coordinates(pose)
+        numbers = so3.pose_coordinates(pose)
         numbers[self._rows] = goal
-        pose_of_goal[:3, :3], pose_of_goal[:3, 3] = rotation_matrix(numbers[3:]), numbers[:3]
+        pose_of_goal[:3, :3], pose_of_goal[:3, 3] = so3.rotation_matrix(numbers[3:]), numbers[:3]
         return pose_of_goal, numbers
 
 

@@ -22,12 +22,12 @@ from scipy.linalg import sqrtm
 from scipy.spatial.transform import Rotation
 
 from manip_learn.constraint.constraint import Constraint
-from manip_learn.constraint.features.frame_jacobian import AXES, pose_coordinates
+from manip_learn.constraint.place import AXES
 from manip_learn.constraint.task_frame import TaskFrame
 from manip_learn.errors import ConstraintError, printable
 from manip_learn.recordings.writers.write_motion import yaml_text
 from manip_learn.robot.robot import Robot
-from manip_learn.robot.rotations import rotation_matrix
+from manip_learn.robot.rotations import pose_coordinates, rotation_matrix
 
 # elsewhere: along free axes, which the controller moves, and along unknown axes
 REASON = "compliant where the environment holds, so that no error of the frame turns into force; stiff elsewhere"

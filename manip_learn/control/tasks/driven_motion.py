@@ -18,14 +18,13 @@ from scipy.linalg import block_diag
 
 from manip_learn.constraint.constraint import Constraint
 from manip_learn.constraint.features.feature_map import sum_in_words
-from manip_learn.constraint.features.frame_jacobian import AXES, pose_error
 from manip_learn.constraint.mechanism import CURVE, Mechanism, kind_of_rows, mechanism_of
-from manip_learn.constraint.place import Chart, Place, across
+from manip_learn.constraint.place import AXES, Chart, Place, across
 from manip_learn.constraint.shown import Shown, Unit
 from manip_learn.control.tasks.motion_profile import PathProfile
 from manip_learn.errors import ConstraintError, TargetError, advice
 from manip_learn.linalg import along_axes, complement_rows, finite, unit
-from manip_learn.robot.rotations import left_jacobian, rotation_matrix, rotation_vector, rotation_vectors
+from manip_learn.robot.rotations import left_jacobian, pose_error, rotation_matrix, rotation_vector, rotation_vectors
 
 Origin = Float[np.ndarray, "..."]  # a pose (4, 4), or coordinates of the features (p,)
 Direction = ArrayLike | str | None  # numbers along rows, the name of a row, or None for the only free direction
