@@ -134,15 +134,25 @@ def test_robots_are_listed_and_looked_at(run, answer, monkeypatch):
     assert (code, err) == (0, "") and out.startswith("manip-learn ")
 
 
-def test_our_own_failure_is_no_traceback(run, monkeypatch):
-    """An internal error gives exit code 1 and one sentence."""
+@pytest.mark.parametrize(
+    ("failure", "code", "said"),
+    [
+        (ZeroDivisionError("oh"), 1, "internal error (ZeroDivisionError: oh); please report it"),
+        (MemoryError(), 2, "not enough memory"),
+        (OSError(5, "Input/output error", "a.csv"), 2, "the system refuses: Input/output error (a.csv)"),
+        (KeyboardInterrupt(), 130, "interrupted"),
+    ],
+)
+def test_our_own_failure_is_no_traceback(failure, code, said, run, monkeypatch):
+    """What no command expects gives its exit code and one sentence; so does a line without a command."""
 
     def broken(*_arguments, **_options):
-        raise ZeroDivisionError("oh")
+        raise failure
 
     monkeypatch.setattr("manip_learn.commands.robots.inspect_robot", broken)
-    code, out, err = run("inspect", "sawyer")
-    assert (code, out) == (1, "") and "internal error" in err and "Traceback" not in err
+    got, out, err = run("inspect", "sawyer")
+    assert (got, out, err.count("\n")) == (code, "", 1) and said in err
+    assert run()[0] == 2 and "no command given" in run()[2]
 
 
 def test_a_refusal_to_learn_holds_its_evidence(run):
