@@ -140,7 +140,7 @@ def test_robots_are_listed_and_looked_at(run, answer, monkeypatch):
         (ZeroDivisionError("oh"), 1, "internal error (ZeroDivisionError: oh); please report it"),
         (MemoryError(), 2, "not enough memory"),
         (OSError(5, "Input/output error", "a.csv"), 2, "the system refuses: Input/output error (a.csv)"),
-        (KeyboardInterrupt(), 130, "interrupted"),
+        (KeyboardInterrupt(), 130, ""),
     ],
 )
 def test_our_own_failure_is_no_traceback(failure, code, said, run, monkeypatch):
@@ -151,7 +151,7 @@ def test_our_own_failure_is_no_traceback(failure, code, said, run, monkeypatch):
 
     monkeypatch.setattr("manip_learn.commands.robots.inspect_robot", broken)
     got, out, err = run("inspect", "sawyer")
-    assert (got, out, err.count("\n")) == (code, "", 1) and said in err
+    assert (got, out, err.count("\n")) == (code, "", bool(said)) and said in err
     assert run()[0] == 2 and "no command given" in run()[2]
 
 
