@@ -47,7 +47,7 @@ def test_a_target_that_moves_counts_over_the_step(constraint, rng):
     ):  # in the middle of 0.1 ... 0.2
         b, E = task.velocity_and_jacobian(constraint, q, 0.1, 0.1)
         assert_allclose(b, Lambda @ (3.0 * (target(0.1) - here) + wanted), rtol=0, atol=1e-12)
-        assert E is None
+        assert E is None and repr(task) == "Track(gain=3)"
         assert_allclose(task.velocity(constraint, q, 0.0), 3.0 * Lambda @ (0.01 * np.ones(3)), atol=1e-12)
 
 
