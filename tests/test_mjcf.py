@@ -49,6 +49,7 @@ def test_every_body_is_where_mujoco_puts_it(path, rng):
     mujoco = pytest.importorskip("mujoco")
     robot, model = load_robot(path), mujoco.MjModel.from_xml_path(str(path))
     data = mujoco.MjData(model)
+    assert any("no velocity limits" in w for w in robot.warnings)  # of the hinges and slides that each has
     for _ in range(5):
         q = robot.random_configuration(rng)
         for block in robot.blocks:

@@ -322,7 +322,7 @@ def test_an_assumed_floor_gives_way_and_a_given_one_does_not(panda: ml.Robot):
         clear = Clearance(panda, True, assumed, start, shown)
         nearest = min(pair.distance for pair in clear.links.closer_than(BENT, 10.0) if pair.links[1] == FLOOR)
         assert clear(BENT) and nearest == pytest.approx(CLEARANCE, abs=1e-4)
-        assert len(clear.notes) == 1 and clear.notes[0].startswith(where) and "lower" in clear.notes[0]
+        assert len(clear.notes) == 1 and clear.notes[0].startswith(f"{where} 'panda_") and "lower" in clear.notes[0]
     assert not Clearance(panda, True, Surroundings((floor,)), above, (BENT,))(BENT)
 
 
