@@ -47,6 +47,10 @@ COMPILER = '<mujoco><compiler fusestatic="false" balanceinertia="true" boundiner
 TOO_FAR, MOST_FORCE, WAY = 5e-3, 40.0, (0.95, 1.08)  # [m], [N], shares of what was shown: what counts as done
 
 
+class OutOfReachError(Exception):
+    """A fixture that stands where this arm cannot be guided along it."""
+
+
 @final
 @dataclass(frozen=True)
 class Arm:
@@ -212,7 +216,7 @@ class World:
             q, off = self.posture(place, turn, np.array(self.arm.home) + self.rng.normal(0.0, 0.35, self.n))
             if off < 1e-4:
                 return place, q, turn
-        raise RuntimeError("this arm cannot hold that")
+        raise OutOfReachError("this arm cannot hold that")
 
     def hold(self, on: bool) -> None:
         """Close the grip where the hand is, or open it."""
@@ -323,7 +327,7 @@ def run(arm: Arm, task: Task, seed: int, folder: Path) -> Outcome:
         if len(made) == RECORDINGS + 1:
             break
     if len(made) <= RECORDINGS:
-        raise RuntimeError("no recordings within the limits")
+        raise OutOfReachError("no recordings within the limits")
     names = [f"recording {k + 1}" for k in range(len(made))]
     demos = [
         ml.Trajectory(x[:, 0], x[:, 1:], None, robot.joint_names, n) for n, (x, _) in zip(names, made, strict=True)
@@ -348,7 +352,7 @@ def run(arm: Arm, task: Task, seed: int, folder: Path) -> Outcome:
     ways = [k for k, law in enumerate(again.controller.laws) if isinstance(law.task, ml.FreeDirection)]
     grip = (np.eye(3), np.eye(3))
     axis, half = _unit(task.bar[0]), arm.size * task.bar[1]
-    for i in range(int((again.rollout.time[-1] + 1.0) / TIMESTEP)):
+    for i in range(int((again.rollout.time[-1] + 3.0) / TIMESTEP)):  # servos come later than the plan
         command = loop.update(d.qpos[w.q] + w.rng.normal(0.0, SERVO_NOISE, w.n), i * TIMESTEP)
         number = loop.controller.number
         if number == ways[0] and np.isnan(off):
@@ -395,7 +399,7 @@ def main() -> None:
             total += 1
             try:
                 one = run(ARMS[name], TASKS[task], options.seed, options.folder)
-            except (RuntimeError, ml.ManipLearnError) as error:
+            except (OutOfReachError, ml.ManipLearnError) as error:
                 print(f"{name}:{task} {options.seed}: {type(error).__name__}: {str(error)[:200]}", flush=True)
                 continue
             good += one.done
