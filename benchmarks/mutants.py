@@ -150,11 +150,17 @@ class Covered:
         self.seconds: dict[str, float] = json.loads((folder / "seconds.json").read_text(encoding="utf-8"))
         self.data = CoverageData(str(folder / "coverage"))
         self.data.read()
-        self.files = {f[f.rindex("manip_learn/") :]: f for f in self.data.measured_files() if "manip_learn/" in f}
+        self.files = defaultdict[str, list[str]](list)  # of a module all its paths: programs of tests run elsewhere
+        for path in self.data.measured_files():
+            if "manip_learn/" in path:
+                self.files[path[path.rindex("manip_learn/") :]].append(path)
 
     def tests_of(self, file: str, line: int) -> list[str]:
         """The tests that reach a line, of the files that cover most of its module, quickest first; [] if none does."""
-        by_line = self.data.contexts_by_lineno(self.files.get(file, ""))
+        by_line = defaultdict[int, list[str]](list)
+        for path in self.files[file]:
+            for number, contexts in self.data.contexts_by_lineno(path).items():
+                by_line[number] += contexts
         reached = by_line.get(line) or by_line.get(max((n for n in by_line if n < line), default=0), [])
         own = defaultdict[str, set[str]](set)
         for test_file, _, test in (c.partition("|") for c in reached):
