@@ -268,11 +268,12 @@ LOST: dict[str, tuple[Any, Callable[[Path], Any], str, str, dict[str, Any]]] = {
         "lost-samples", "meta/info.json states total_.*episodes='0:'", {"units": "radians"},
     ),
     **{
-        f"a log {end} of a recorder that was killed": (
+        f"a log {end} of a recorder that was killed, {'the folder' if whole else 'the file'}": (
             logged(end, whole), lambda path: next(file_of(path).parent.glob("*-*")).write_bytes(b"x" * 32),
             "unfinished", r"PRAGMA wal_checkpoint\(TRUNCATE\)", {},
         )
-        for end, whole in (("-wal", True), ("-journal", False))
+        for end in ("-wal", "-journal")
+        for whole in (True, False)
     },
 }  # fmt: skip
 
@@ -332,11 +333,15 @@ NO_ROLLOUT: dict[str, tuple[Callable[[Path, ml.Rollout], Any], str]] = {
 
 @pytest.mark.parametrize("what", NO_ROLLOUT)
 def test_what_is_no_rollout_is_refused_by_name(what: str, planar3: Robot, rollout: ml.Rollout, tmp_path: Path) -> None:
-    """No file, another kind of file, arrays of another kind, width, status or names: the message says which."""
+    """No file, another kind of file, arrays of another kind, width, status or names: the message says which. What lost
+    a sample is damaged.
+    """
     write, words = NO_ROLLOUT[what]
     write(tmp_path / "r.npz", rollout)
-    with pytest.raises(RecordingError, match=words):
+    with pytest.raises(RecordingError, match=words) as seen:
         ml.Rollout.load(tmp_path / "r.npz", planar3)
+    if "less" in what:
+        assert seen.value.code == "damaged"
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="there is no /dev/full here")
