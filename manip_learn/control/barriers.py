@@ -28,13 +28,25 @@ BRAKING_SHARE = 0.5  # share of the joints' acceleration for braking before a wa
 CLEARANCE = 0.005
 
 
+def approach_gain(dt: float) -> float:
+    """Return the rate kappa of an exponential approach to a barrier: `APPROACH_RATE`, but at most half a gap a step.
+
+    Args:
+        dt: Step [s].
+
+    Returns:
+        The rate [1/s].
+    """
+    return min(APPROACH_RATE, 0.5 / dt)
+
+
 def approach_rate(distance: float, slope: Vector, acceleration: Vector, dt: float) -> float:
     """Return the largest rate at which a distance may fall, so that the joints can stop where it is 0.
 
         rate = min(kappa x, sqrt(2 a x)),   a = BRAKING_SHARE |g| min_j (a_j / |n_j|),   n = g / |g|
 
     The distance `x` is e.g. the smallest singular value of A, or the distance of a frame from a wall; `g` is its
-    gradient, `a_j` are the acceleration limits of the joints, and `kappa` is `APPROACH_RATE`, but at most 1 / (2 dt).
+    gradient, `a_j` are the acceleration limits of the joints, and `kappa` is `approach_gain(dt)`.
 
     Args:
         distance: `x`, in any unit; negative if the limit is already exceeded.
@@ -47,7 +59,7 @@ def approach_rate(distance: float, slope: Vector, acceleration: Vector, dt: floa
     """
     largest, square = float((np.abs(slope) / acceleration).max()), float(slope.dot(slope))
     deceleration = BRAKING_SHARE * square / largest if largest > 0.0 else math.inf
-    return min(min(APPROACH_RATE, 0.5 / dt) * distance, math.sqrt(2.0 * deceleration * max(distance, 0.0)))
+    return min(approach_gain(dt) * distance, math.sqrt(2.0 * deceleration * max(distance, 0.0)))
 
 
 def approach_bound(smallest: float, slope: Vector, acceleration: Vector, dt: float) -> float:

@@ -281,7 +281,7 @@ class Limits:
         """Return brake(d), at most d / T; negative outside, where a joint returns."""
         # a joint without an acceleration limit gets a huge one, so that braking distances stay finite
         a = share * barriers.BRAKING_SHARE * np.minimum(self.acceleration, 1e12)
-        rate = min(barriers.APPROACH_RATE, 0.5 / dt)
+        rate = barriers.approach_gain(dt)
         joined = a / rate - 0.5 * a * dt  # speed at d1
         linear = joined / rate
         offset = linear - joined * (joined + a * dt) / (2.0 * a)
@@ -364,7 +364,7 @@ class Limits:
             smallest: Smallest singular value of A, in the constraint's units (m or 1).
             dt: Step [s].
         """
-        rate = min(barriers.APPROACH_RATE, 0.5 / dt) * smallest
+        rate = barriers.approach_gain(dt) * smallest
         return square * size >= min(
             2.0 * barriers.BRAKING_SHARE * float(self.acceleration.min()) * math.sqrt(size) * smallest, rate * rate
         )

@@ -272,7 +272,7 @@ class Scene:
             is_xml = content.lstrip(b"\xef\xbb\xbf \t\r\n").startswith(b"<")
             scene = _from_xml(content, file) if is_xml else _from_json(Scene, parsed_json(content), "the scene", file)
         except UnknownNameError as error:
-            error.args = (f"{file}: {error}",) if error.kind == "thing" else error.args  # of a key it names the file
+            error.args = (f"{file}: {error}",)
             raise
         except (SceneError, TypeError, ValueError) as error:
             problem = error if isinstance(error, SceneError) else f"it is no scene ({error}); repair it"
@@ -338,7 +338,7 @@ def _from_json(kind: Any, content: Any, where: str, file: Path) -> Any:
     values.pop("format", None)
     for key in values:
         if key not in is_required:
-            raise UnknownNameError("key", key, is_required, f"{where} of {file}")
+            raise UnknownNameError("key", key, is_required, where)
     if missing := [repr(name) for name, needed in is_required.items() if needed and name not in values]:
         raise SceneError(f"{where} lacks {named('key', missing)}; give a value")
     for field, thing in _KINDS.items() if kind is Scene else ():

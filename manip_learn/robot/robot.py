@@ -603,10 +603,8 @@ class Robot:
         Raises:
             ConfigurationError: q or the acceleration has the wrong size or is not finite.
         """
-        model = self.pinocchio_model
-        data = self._data
-        x = self.pinocchio_configuration(q)
-        a = self.velocity(acceleration)
+        model, data = self.pinocchio_model, self._data
+        x, a = self.pinocchio_configuration(q), self.velocity(acceleration)
         lift = None if self.coupling is None else self.coupling.lift
         effort = pin.rnea(model, data, x, np.zeros(model.nv), a if lift is None else lift @ a)
         effort = effort - pin.computeGeneralizedGravity(model, data, x)
